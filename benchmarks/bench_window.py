@@ -22,9 +22,8 @@ from benchmarks.base import Comparison
 from tissueid.app.live_signals import decimated
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import LIGHT
-from tissueid.app.views.researcher.plot_stack import PlotStack
+from tissueid.app.views.researcher.plot_stack import Channel, LoadedTest, PlotStack, RecordedSignal
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
 
 Array = NDArray[np.float64]
 RATE = 2000.0

@@ -29,8 +29,7 @@ from tissueid.app.emergency import (
 from tissueid.app.live_signals import LiveSignals
 from tissueid.app.live_test import LiveTest
 from tissueid.app.session_jobs import find
-from tissueid.app.views.technician.events import read_events
-from tissueid.app.views.technician.log_reading import read_log
+from tissueid.app.views.technician.events import read_events, read_log
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.errors import CancelledError, LinkLostError

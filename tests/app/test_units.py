@@ -20,10 +20,9 @@ from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.repeat_bar import SittingSummary
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, standing
 from tissueid.app.views.gap.result_tabs import CandidatesTab
-from tissueid.app.views.researcher.plot_stack import SpectrumCard
+from tissueid.app.views.researcher.plot_stack import Channel, LoadedTest, RecordedSignal, SpectrumCard
 from tissueid.app.views.researcher.save_dialog import write_figure
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
 from tissueid.app.views.researcher.signals import SignalFigure, StatisticsTable
 from tissueid.app.views.technician.calibration_panels import SweepsPanel
 from tissueid.calibration import CalibratedQuantity

@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
-from PySide6.QtCore import QObject, Qt, QTimer, SignalInstance
+from PySide6.QtCore import QObject, QSignalBlocker, Qt, QTimer, SignalInstance
+from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QBoxLayout,
     QComboBox,
+    QFileDialog,
     QGridLayout,
     QHBoxLayout,
     QHeaderView,
     QLabel,
     QLayout,
+    QProgressBar,
     QPushButton,
+    QSplitter,
+    QStackedWidget,
     QTableView,
     QTableWidget,
+    QTabWidget,
     QVBoxLayout,
     QWidget,
 )
+
+from tissueid.language import _
 
 Item = QWidget | QLayout | None
 """A part of a row or column; None is a stretch."""
@@ -107,12 +116,34 @@ def button(text: str, clicked: Callable[[], object] | SignalInstance | None = No
     return made
 
 
-def choice(entries: Mapping[Any, str], **properties: Any) -> QComboBox:
-    """Return a combo box with a text for each value."""
+def choice(
+    entries: Mapping[Any, str],
+    changed: Callable[[], object] | SignalInstance | None = None,
+    characters: int | None = None,
+    **properties: Any,
+) -> QComboBox:
+    """Return a combo box with a text for each value, and what it calls or sends when another one is chosen.
+
+    It is as wide as its texts, or with ``characters`` that wide at least and not as wide as its texts.
+    """
     made = QComboBox()
-    for value, text in entries.items():
-        made.addItem(text, value)
+    offer(made, entries)
+    if characters is not None:
+        policy = QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+        styled(made, size_adjust_policy=policy, minimum_contents_length=characters)
+    if changed is not None:
+        made.currentIndexChanged.connect(changed)
     return styled(made, **properties)
+
+
+def offer(box: QComboBox, entries: Mapping[Any, str], wanted: object = None) -> None:
+    """Replace the entries of a choice without a signal. The chosen one stays, or ``wanted``; else it is the first."""
+    wanted = box.currentData() if wanted is None else wanted
+    with QSignalBlocker(box):
+        box.clear()
+        for value, text in entries.items():
+            box.addItem(text, value)
+        box.setCurrentIndex(max(0, box.findData(wanted)) if entries else -1)
 
 
 def grid(
@@ -158,3 +189,131 @@ def for_reading(
     alignment = Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
     styled(view.horizontalHeader(), section_resize_mode=columns, default_alignment=alignment, highlight_sections=False)
     return styled(view, **properties)
+
+
+def shortcut(
+    parent: QWidget,
+    keys: QKeySequence | QKeySequence.StandardKey | str,
+    activated: Callable[[], object],
+    context: Qt.ShortcutContext = Qt.ShortcutContext.WidgetWithChildrenShortcut,
+) -> None:
+    """Call ``activated`` when the keys are pressed in ``parent``."""
+    styled(QShortcut(QKeySequence(keys), parent), context=context).activated.connect(activated)
+
+
+def tabs(name: str, *pages: tuple[QWidget, str]) -> QTabWidget:
+    """Return pages with a tab each; ``name`` is for screen readers."""
+    made = styled(QTabWidget(), document_mode=True)
+    styled(made.tabBar(), draw_base=False, name=name)
+    for page, title in pages:
+        made.addTab(page, title)
+    return made
+
+
+def single_tab_stop(pages: QTabWidget) -> None:
+    """Make one stop of the tab key of tabs, not two: the second would lead back to the bar, and never past it."""
+    pages.setFocusProxy(None)  # type: ignore[arg-type]
+    pages.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    pages.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+
+
+def splitter(
+    *parts: tuple[QWidget, int], sizes: Sequence[int] = (), upright: bool = False, made: QSplitter | None = None
+) -> QSplitter:
+    """Return parts, each with its stretch, next to each other or ``upright`` below each other, with movable borders."""
+    made = made or QSplitter(Qt.Orientation.Vertical if upright else Qt.Orientation.Horizontal)
+    made.setChildrenCollapsible(False)
+    for place, (part, stretch) in enumerate(parts):
+        made.addWidget(part)
+        made.setStretchFactor(place, stretch)
+    if sizes:
+        made.setSizes(list(sizes))
+    return made
+
+
+def stack(*pages: QWidget) -> QStackedWidget:
+    """Return pages of which one is shown."""
+    made = QStackedWidget()
+    for page in pages:
+        made.addWidget(page)
+    return made
+
+
+def holder(box: QLayout) -> QWidget:
+    """Return a widget with a layout."""
+    made = QWidget()
+    made.setLayout(box)
+    return made
+
+
+def ask_path(
+    parent: QWidget,
+    title: str,
+    at: Path | str | None,
+    chosen: Callable[[Path], object],
+    kinds: str = "",
+    *,
+    save: str | None = None,
+    **properties: Any,
+) -> QFileDialog:
+    """Ask for a folder, for a file of some ``kinds``, or with the name ``save`` for one to write; return the dialog."""
+    dialog = styled(QFileDialog(parent, title, str(at or ""), kinds), attribute=Qt.WidgetAttribute.WA_DeleteOnClose)
+    if save is not None:
+        styled(dialog, accept_mode=QFileDialog.AcceptMode.AcceptSave)
+    elif kinds:
+        styled(dialog, file_mode=QFileDialog.FileMode.ExistingFile)
+    else:
+        styled(dialog, file_mode=QFileDialog.FileMode.Directory, option=QFileDialog.Option.ShowDirsOnly)
+    styled(dialog, **properties).fileSelected.connect(lambda path: chosen(Path(path)))
+    if save:
+        dialog.selectFile(save)
+    dialog.open()
+    return dialog
+
+
+class ProgressRow:
+    """What running work does, how far it is, and a button that cancels it. The parts are hidden while nothing runs."""
+
+    STEPS = 1000
+
+    def __init__(self, doing: QLabel, name: str, cancel: str, cancelled: Callable[[], object] | SignalInstance) -> None:
+        self.doing = styled(doing, role="muted")
+        self.bar = styled(QProgressBar(), text_visible=False, name=name)
+        self.stop = button(_("Cancel"), cancelled, name=cancel)
+        self.parts = self.doing, self.bar, self.stop
+        self.clear()
+
+    def show_progress(self, fraction: float | None, step: str) -> None:
+        """Show the step and its completed share from 0 to 1; None where that is not known."""
+        for part in self.parts:
+            part.show()
+        self.doing.setText(step)
+        self.bar.setRange(0, 0 if fraction is None else self.STEPS)
+        self.bar.setValue(0 if fraction is None else round(self.STEPS * fraction))
+
+    def show_reason(self, why: str) -> None:
+        """Say why no work can start; an empty text hides it. It gives way to running work."""
+        if self.bar.isHidden():
+            self.doing.setText(why)
+            self.doing.setVisible(bool(why))
+
+    def clear(self) -> None:
+        """Hide the progress."""
+        for part in self.parts:
+            part.hide()
+
+
+def restore_tab(pages: QTabWidget, kept: object) -> None:
+    """Show the page with a number from the settings; anything else is ignored."""
+    text = str(kept)
+    pages.setCurrentIndex(int(text) if text.isdecimal() and int(text) < pages.count() else 0)
+
+
+def tiles(columns: int, *parts: QWidget, stretch_rows: bool = False, **properties: Any) -> QGridLayout:
+    """Return parts in rows of so many columns of equal width, of equal height too with ``stretch_rows``."""
+    made = styled(QGridLayout(), **({"spacing": 6, "contents_margins": (0, 0, 0, 0)} | properties))
+    for place, part in enumerate(parts):
+        made.addWidget(part, place // columns, place % columns)
+        made.setColumnStretch(place % columns, 1)
+        made.setRowStretch(place // columns, int(stretch_rows))
+    return made

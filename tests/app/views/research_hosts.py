@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QMainWindow
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import Jobs
 from tissueid.app.services import AppServices
-from tissueid.app.views.researcher.session_model import SITE
+from tissueid.app.views.researcher.session_tree import SITE
 from tissueid.app.views.researcher.view import ResearchView
 from tissueid.device import DeviceDescription
 from tissueid.sessions import Session, Subject, Test, write_session

@@ -18,11 +18,10 @@ from tissueid.app.user_files import stamp_of
 from tissueid.app.views.gap import diagnosis_run
 from tissueid.app.views.gap.diagnosis_result import why_not_accepted
 from tissueid.app.views.gap.diagnosis_run import page_content_of
-from tissueid.app.views.gap.displayed_text import STAGE_TITLES, VERDICT_TITLES
-from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import session_url
-from tissueid.app.views.gap.page_content import Proposal
+from tissueid.app.views.gap.page_content import STAGE_TITLES, VERDICT_TITLES, Proposal
 from tissueid.app.views.gap.request_panel import RequestPanel
+from tissueid.app.views.gap.view import EffectDialog
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.device import DeviceDescription

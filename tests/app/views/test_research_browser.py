@@ -15,7 +15,7 @@ from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher import session_search
 from tissueid.app.views.researcher.background_work import BackgroundWork
 from tissueid.app.views.researcher.browser import Browser
-from tissueid.app.views.researcher.session_model import COLUMNS, FILE, QUALITY
+from tissueid.app.views.researcher.session_tree import COLUMNS, FILE, QUALITY
 from tissueid.app.window_state import keep_visited_study
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]

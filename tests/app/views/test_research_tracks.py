@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissueid.app.views.researcher.plot_stack import PlotStack
+from tissueid.app.views.researcher.plot_stack import Channel, LoadedTest, PlotStack, RecordedSignal
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
 
 RATE = 2000.0
 

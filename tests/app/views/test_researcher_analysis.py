@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
     QTableView,
 )
 
-from tissueid.app.views.researcher.analysis_task import Preparation
+from tissueid.app.views.researcher.engine_outcome import Preparation
 from tissueid.app.views.researcher.history_list import STATE, restore_state
 from tissueid.app.views.researcher.results_store import read_results, write_results
 from tissueid.errors import UnusableInputError

@@ -9,7 +9,7 @@ from app.views.research_panels import answer, press, run, wait
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QFileDialog, QMessageBox
 
-from tissueid.app.views.researcher.plot_data import KERNELS, OUTPUT, PICTURES
+from tissueid.app.views.researcher.engine_outcome import KERNELS, OUTPUT, PICTURES
 from tissueid.app.views.researcher.save_dialog import FIGURES, free_name, write_figure
 from tissueid.calibration.file import Calibration, write_calibration
 from tissueid.errors import UnusableInputError

@@ -10,11 +10,10 @@ from PySide6.QtWidgets import QComboBox
 
 from tissueid.analysis import analyse
 from tissueid.analysis.curves.validation import output_plots
-from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
+from tissueid.app.views.researcher.engine_outcome import OUTPUT, EngineOutcome, keys_of
 from tissueid.app.views.researcher.pictures import in_the_middle
-from tissueid.app.views.researcher.plot_data import OUTPUT
+from tissueid.app.views.researcher.plot_stack import Channel, LoadedTest, RecordedSignal
 from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels, short_label, timestamp_of
-from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
 from tissueid.app.views.researcher.signals import StatisticsTable
 from tissueid.identification.validation import vaf_percent
 from tissueid.sessions import read_session

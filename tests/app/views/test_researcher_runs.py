@@ -19,8 +19,7 @@ from PySide6.QtWidgets import (
 from tissueid import analysis
 from tissueid.app.theme import DARK, appearance
 from tissueid.app.views.researcher import batch
-from tissueid.app.views.researcher.analysis_task import AnalysisTask
-from tissueid.app.views.researcher.plot_data import PICTURES
+from tissueid.app.views.researcher.engine_outcome import PICTURES, AnalysisTask
 from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.messages import MISSING
 from tissueid.procedures.control import Control

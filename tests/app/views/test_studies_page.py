@@ -12,7 +12,7 @@ from PySide6.QtCore import Qt
 
 from tissueid.analysis.curves.plot import as_csv
 from tissueid.app.views.studies import view as studies_view
-from tissueid.app.views.studies.protocol_dialog import OptionsDialog, ProtocolDialog
+from tissueid.app.views.studies.request_row import OptionsDialog, ProtocolDialog
 from tissueid.app.views.studies.study_data import NOT_ANALYSED, load_study
 from tissueid.app.views.studies.tests_tab import SITE, SUBJECT, WITHOUT
 from tissueid.errors import UnusableInputError

@@ -13,7 +13,7 @@ from PySide6.QtCore import QPoint, Qt
 from support import connect
 
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING
-from tissueid.app.views.technician.faults import gather
+from tissueid.app.views.technician.log_tabs import gather
 from tissueid.calibration import write_calibration
 from tissueid.cli.stop_key import BY_KEY
 from tissueid.errors import LinkLostError

@@ -116,14 +116,14 @@ def test_the_log_is_shown_filtered_and_exported(qtbot, page, tmp_path, audit_fil
     select(audit.list, 0)
     assert "Site: left calf" in audit.full.text()
     target = tmp_path / "log.csv"
-    audit.export_to(str(target))
+    audit.export_to(target)
     rest(qtbot, view)
     rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
     assert [row[4] for row in rows] == ["what", "test.begun"]
     assert rows[1][5] == "'=cmd()"  # no formula of a spreadsheet
     assert "1 lines" in view.window_.ui.notice.text.text()
     before = audit_file.read_bytes()
-    audit.export_to(str(audit_file))
+    audit.export_to(audit_file)
     rest(qtbot, view)
     assert "audit log itself" in view.window_.ui.notice.text.text()
     assert audit_file.read_bytes() == before
@@ -242,8 +242,8 @@ def test_the_tab_key_goes_through_each_tab_and_nothing_begins_beside_a_test(qtbo
 
 
 def test_a_hundred_thousand_lines_are_shown_in_pieces_and_filtered_at_once(qtbot, page):
-    from tissueid.app.views.technician.audit_table import Read
-    from tissueid.app.views.technician.log_reading import LogPage, haystack
+    from tissueid.app.views.technician.events import LogPage, haystack
+    from tissueid.app.views.technician.log_tabs import Read
     from tissueid.audit.line import make_line
 
     view = page(AUDIT)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtCore import QSignalBlocker, Qt, Signal
+from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QWidget
 
 from tissueid.app import build
 from tissueid.app.build import button, styled
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult, State
-from tissueid.app.views.gap.displayed_text import STAGE_TITLES, STATE_TITLES, VERDICT_TITLES, as_title
+from tissueid.app.views.gap.page_content import STAGE_TITLES, STATE_TITLES, VERDICT_TITLES, as_title
 from tissueid.formatting import clean
 from tissueid.language import _
 
@@ -51,13 +51,8 @@ class DiagnosisList(QWidget):
         )
         self.none = build.label("muted", _("No diagnosis yet."))
         self._removed: tuple[int, DiagnosisResult] | None = None
-        for keys, slot in (
-            (QKeySequence.StandardKey.Delete, self._remove),
-            (QKeySequence.StandardKey.Undo, self._undo),
-        ):
-            shortcut = QShortcut(QKeySequence(keys), self)
-            shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-            shortcut.activated.connect(slot)
+        build.shortcut(self, QKeySequence.StandardKey.Delete, self._remove)
+        build.shortcut(self, QKeySequence.StandardKey.Undo, self._undo)
         heading = styled(QLabel(_("Diagnoses")), role="heading")
         build.column(heading, self.none, (self.list, 1), self.remove, parent=self)
         self._tell()
@@ -71,8 +66,7 @@ class DiagnosisList(QWidget):
     @property
     def state(self) -> State:
         """State of the session file of the selected diagnosis."""
-        row = self.list.currentRow()
-        return self._states[row] if 0 <= row < len(self._states) else ""
+        return "" if self.result is None else self._states[self.list.currentRow()]
 
     def add(self, result: DiagnosisResult) -> None:
         """Add a diagnosis at the top and select it; remove the oldest beyond the maximum."""
@@ -81,11 +75,10 @@ class DiagnosisList(QWidget):
     def restore(self, results: Sequence[DiagnosisResult]) -> None:
         """Append stored diagnoses, newest first; the selection stays."""
         there = {result.key for result in self._results}
-        self.list.blockSignals(True)
-        for result in results:
-            if result.key not in there and len(self._results) < _MOST:
-                self._insert(len(self._results), result)
-        self.list.blockSignals(False)
+        with QSignalBlocker(self.list):
+            for result in results:
+                if result.key not in there and len(self._results) < _MOST:
+                    self._insert(len(self._results), result)
         self.none.setVisible(not self._results)
 
     def look(self) -> None:
@@ -98,15 +91,17 @@ class DiagnosisList(QWidget):
                     self.chosen.emit()
 
     def _put(self, place: int, result: DiagnosisResult) -> None:
-        self.list.blockSignals(True)
-        self._insert(place, result)
-        while len(self._results) > _MOST:
-            self._results.pop()
-            self._states.pop()
-            self.list.takeItem(len(self._results))
-        self.list.setCurrentRow(min(place, len(self._results) - 1))
-        self.list.blockSignals(False)
+        with QSignalBlocker(self.list):
+            self._insert(place, result)
+            while len(self._results) > _MOST:
+                self._take_out(_MOST)
+            self.list.setCurrentRow(min(place, len(self._results) - 1))
         self._tell()
+
+    def _take_out(self, row: int) -> DiagnosisResult:
+        self.list.takeItem(row)
+        del self._states[row]
+        return self._results.pop(row)
 
     def _insert(self, place: int, result: DiagnosisResult) -> None:
         self._results.insert(place, result)
@@ -124,13 +119,10 @@ class DiagnosisList(QWidget):
 
     def _remove(self) -> None:
         row = self.list.currentRow()
-        if 0 <= row < len(self._results):
-            self.list.blockSignals(True)
-            self._removed = row, self._results.pop(row)
-            self._states.pop(row)
+        if self.result is not None:
             self.list.setFocus()  # the button may have nothing more to do; here the keys for the list are heard
-            self.list.takeItem(row)
-            self.list.blockSignals(False)
+            with QSignalBlocker(self.list):
+                self._removed = row, self._take_out(row)
             self._tell()
             self.removed.emit(self._removed[1])
 

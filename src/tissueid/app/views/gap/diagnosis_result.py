@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
 import re
 import secrets
 from collections.abc import Sequence
@@ -10,12 +13,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, PlainSerializer
+import numpy as np
+from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, PlainSerializer, TypeAdapter
 
-from tissueid.app.user_files import Stamp, stamp_of
+from tissueid.app.user_files import Stamp, default_path, stamp_of
 from tissueid.app.views.gap.page_content import PageContent
 from tissueid.app.words import sentence
-from tissueid.atomic_write import unused_path
+from tissueid.atomic_write import open_regular, private_folder, unused_path, write_private
 from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -25,7 +29,7 @@ from tissueid.messages import translated
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan
 from tissueid.procedures.output_files import json_text, write_text
 from tissueid.stored_values import StoredText
-from tissueid.untrusted_input import MAX_TESTS
+from tissueid.untrusted_input import MAX_TESTS, json_value
 
 State = Literal["", "changed", "missing"]
 """State of the session file since its diagnosis; "" if it is unchanged."""
@@ -97,7 +101,7 @@ class DiagnosisResult:
         return "missing" if now is None else "" if now == self.stamp else "changed"
 
 
-_SUFFIX = ".toml"
+_TWIN_SUFFIX = ".toml"
 
 
 def why_not_accepted(result: DiagnosisResult) -> str:
@@ -170,4 +174,125 @@ def proposed_twin(result: DiagnosisResult, effects: Sequence[str]) -> Path:
         return result.asked.twin
     folder = result.asked.session.parent
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", "-".join(effects)).strip("-._") or "twin"
-    return unused_path(folder / f"{stem}{_SUFFIX}")
+    return unused_path(folder / f"{stem}{_TWIN_SUFFIX}")
+
+
+FOLDER = "diagnoses"
+MOST_KEPT = 20
+MOST_BYTES = 20_000_000
+"""Maximum size of a file. A diagnosis of one test takes about 600 kB, two thirds of it the report."""
+_SUFFIX = ".json"
+_FORMAT, _VERSION, _LOGARITHMS = "tissueid-diagnosis", "1.2", "1.1"
+"""Name and version of the files, and the version whose spectra and errors are decimal logarithms."""
+_ANSWER = {"verdict", "gap", "where", "ranking", "combination", "members", "next_experiment", "remarks", "seconds"}
+_RESULT = TypeAdapter(DiagnosisResult)
+
+
+@dataclass(frozen=True)
+class KeptDiagnoses:
+    """Diagnoses read from files, newest first, and the number of files that could not be read."""
+
+    results: tuple[DiagnosisResult, ...]
+    bad: int
+
+
+def default_folder() -> Path:
+    """Return the folder of this user's diagnoses, next to the history of analyses."""
+    return default_path().with_name(FOLDER)
+
+
+def keep(result: DiagnosisResult, folder: Path) -> None:
+    """Write a diagnosis atomically, readable by its owner only, and remove the oldest files beyond ``MOST_KEPT``.
+
+    Raises:
+        OSError: the file cannot be written.
+        UnusableInputError: the file would be rejected when it is read.
+    """
+    try:
+        content = {"format": _FORMAT, "format_version": _VERSION} | _RESULT.dump_python(result, mode="json")
+        text = json.dumps(content)
+        _parsed(text.encode(), result.key)
+    except ValueError as error:
+        raise UnusableInputError(
+            "gap.diagnosis_not_kept", "This diagnosis cannot be kept for the next start."
+        ) from error
+    private_folder(folder)
+    write_private(folder / f"{result.key}{_SUFFIX}", text)
+    for key in _keys(folder)[MOST_KEPT:]:
+        remove(key, folder)
+
+
+def remove(key: str, folder: Path) -> None:
+    """Remove a kept diagnosis. A missing file and a failure are ignored."""
+    with contextlib.suppress(OSError):
+        (folder / f"{key}{_SUFFIX}").unlink()
+
+
+def read_kept(folder: Path) -> KeptDiagnoses:
+    """Read the kept diagnoses. A missing folder is an empty one.
+
+    Raises:
+        OSError: the folder exists and cannot be read.
+    """
+    results: list[DiagnosisResult] = []
+    bad = 0
+    for key in _keys(folder)[:MOST_KEPT]:
+        try:
+            results.append(_read(folder / f"{key}{_SUFFIX}", key))
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
+            bad += 1
+    return KeptDiagnoses(tuple(results), bad)
+
+
+def _read(path: Path, key: str) -> DiagnosisResult:
+    with open_regular(path) as file:
+        return _parsed(file.read(MOST_BYTES + 1), key)
+
+
+def _parsed(data: bytes, key: str) -> DiagnosisResult:
+    if len(data) > MOST_BYTES:
+        raise ValueError("too long")
+    content = json_value(data)
+    version = content.pop("format_version")
+    if content.pop("format") != _FORMAT or version not in (_VERSION, _LOGARITHMS):
+        raise ValueError("the file is no diagnosis of this version")
+    if version == _LOGARITHMS:
+        del content["asked"]["language"]
+        _undo_logarithms(content["story"])
+    result = _RESULT.validate_python(content)
+    if result.key != key:
+        raise ValueError("the key differs from the name of the file")
+    if not result.answer.keys() >= _ANSWER or result.answer["verdict"] != result.story.verdict:
+        raise ValueError("the answer does not belong to this diagnosis")
+    named = {name for name, _title, is_named in result.story.offered if is_named}
+    if result.accepted is not None and not named <= {item.name for item in result.accepted.effects}:
+        raise ValueError("the twin does not belong to this diagnosis")
+    return result
+
+
+def _undo_logarithms(story: dict[str, Any]) -> None:
+    del story["gap"]
+    if (spectrum := story["spectrum"]) is not None:
+        del spectrum["unit"]
+        curves = {name: _powers(values) for name, values in spectrum["lines"].items()}
+        bands = [_powers(band) for band in spectrum["bands"]]
+        spectrum |= {"frequency": _powers(spectrum["frequency"]), "lines": curves, "bands": bands}
+    for profile in story["profiles"].values():
+        profile["error"] = _powers(profile["error"])
+    for overlay in story["overlays"]:
+        del overlay["unit"], overlay["fine_unit"]
+
+
+def _powers(logarithms: list[float]) -> list[float]:
+    powers: list[float] = (10.0 ** np.asarray(logarithms, dtype=np.float64)).tolist()
+    return powers
+
+
+def _keys(folder: Path) -> list[str]:
+    """Return the names of the kept diagnoses, newest first."""
+    try:
+        names = [entry.name for entry in os.scandir(folder)]
+    except FileNotFoundError:
+        return []
+    keys = [name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)]
+    return sorted((key for key in keys if KEY.fullmatch(key)), reverse=True)

@@ -7,8 +7,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from tissueid.app.views.gap.displayed_text import as_sentence, as_title
-from tissueid.app.views.gap.page_content import Proposal
+from tissueid.app.views.gap.page_content import Proposal, as_sentence, as_title
 from tissueid.device import DeviceDescription
 from tissueid.formatting import clean
 from tissueid.gap.diagnosis import Diagnosis

@@ -8,8 +8,13 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
+from tissueid.app.words import sentence
+from tissueid.formatting import clean
 from tissueid.gap.diagnosis_content import MOST_ROWS, DiagnosisContent, Finite
+from tissueid.language import marked
+from tissueid.messages import translated
 from tissueid.stored_values import LONGEST_TEXT, StoredText
+from tissueid.twin.effect import Stage
 
 _FORM_FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "min_force_n": (int, float),
@@ -58,3 +63,28 @@ class PageContent(DiagnosisContent):
     """A diagnosis as the page shows it, with the proposed test as the form of the guided test takes it."""
 
     proposal: Proposal | None
+
+
+STAGE_TITLES: dict[Stage, str] = {
+    "drive": marked("Amplifier"),
+    "coil": marked("Coil"),
+    "mechanics": marked("Moving part"),
+    "tissue": marked("Tissue"),
+    "sensing": marked("Sensors"),
+    "environment": marked("Environment"),
+}
+SIGNALS = (marked("Voltage"), marked("Current"), marked("Position"), marked("current"), marked("position"))
+"""Names of the compared signals; ``voltage`` is marked in the chain."""
+VERDICT_TITLES = {"effect": marked("Effect named"), "no_gap": marked("No gap"), "unexplained": marked("Unexplained")}
+STATE_TITLES = {"changed": marked("Session changed since"), "missing": marked("Session file missing")}
+"""State of the session file of a diagnosis."""
+
+
+def as_sentence(text: str) -> str:
+    """Return a text of a diagnosis, translated, with a capital and a full stop; "" stays ""."""
+    return sentence(clean(translated(text)))
+
+
+def as_title(text: str) -> str:
+    """Return a text of a diagnosis, translated, with a capital and without a full stop, unbroken before %."""
+    return as_sentence(text).rstrip(".").replace(" %", "\u00a0%")

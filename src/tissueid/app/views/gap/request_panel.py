@@ -3,33 +3,130 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import os
+import threading
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from PySide6.QtCore import QObject, QSettings, Qt, Signal
 from PySide6.QtWidgets import (
-    QComboBox,
-    QFileDialog,
     QFrame,
     QLabel,
     QLineEdit,
-    QProgressBar,
     QToolButton,
     QWidget,
 )
 
 from tissueid.app import build
 from tissueid.app.build import button, styled
+from tissueid.app.jobs import Jobs
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.gap.diagnosis_loader import unique_titles
+from tissueid.app.user_files import stamp_of
+from tissueid.app.views.gap.diagnosis_result import KeptDiagnoses, read_kept
+from tissueid.app.views.researcher.selected_test import local_time
+from tissueid.app.views.researcher.session_search import SessionEntry, entry_of
 from tissueid.app.widgets import BigButton
 from tissueid.app.window_state import load_texts, save_texts
-from tissueid.formatting import clean
-from tissueid.language import _, marked
+from tissueid.formatting import clean, subject_text
+from tissueid.language import _, marked, plural
 from tissueid.messages import Message, translated
 from tissueid.procedures.gap_plans import DiagnosisPlan, read_test_number
+
+_LONGEST_PART = 40
+"""Maximum length of one part of a title, characters."""
+
+
+def read_titles(paths: Sequence[Path], cancelled: threading.Event) -> dict[Path, str | None]:
+    """Return the titles of sessions that were read before ``cancelled`` was set.
+
+    The title of a file that is no session, or says nothing of itself, is empty; that of a missing file is None.
+    """
+    found: dict[Path, str | None] = {}
+    for path in paths:
+        if cancelled.is_set():
+            break
+        stamp = stamp_of(path)
+        found[path] = None if stamp is None else title_of(entry_of(path, stamp))
+    return found
+
+
+def title_of(entry: SessionEntry) -> str:
+    """Return subject, site, date and test of a session; "" if the file has none of the first three."""
+    sites = dict.fromkeys(clean(test.site).strip() for test in entry.tests)
+    known = [subject_text(entry.pseudonym), *sites, local_time(entry.when)]
+    parts = [part[:_LONGEST_PART] for part in known if part]
+    return ", ".join([*parts, _tests(entry)]) if parts else ""
+
+
+def unique_titles(titles: Mapping[Path, str]) -> dict[Path, str]:
+    """Return the text of each file in the list: its title, with the file name where titles are equal."""
+    count = Counter(titles.values())
+    named = {}
+    for path, title in titles.items():
+        name = clean(path.name)
+        named[path] = name if not title else f"{title}, {name}" if count[title] > 1 else title
+    return named
+
+
+def _tests(entry: SessionEntry) -> str:
+    if len(entry.tests) == 1:
+        test = entry.tests[0]
+        return _("test {number} ({kind})").format(number=test.number, kind=_(test.kind))
+    return plural("{count} test", "{count} tests", len(entry.tests)).format(count=len(entry.tests))
+
+
+class DiagnosisLoader(QObject):
+    """Loader with one job at a time; :meth:`load_next` starts the next one.
+
+    ``kept_read`` carries the kept diagnoses, ``titles_read`` the titles of sessions by their paths; ``failed`` says in
+    words why kept diagnoses cannot be read. ``wanted`` is whether they are still to be read.
+    """
+
+    kept_read = Signal(object)
+    titles_read = Signal(object)
+    failed = Signal(str)
+
+    def __init__(self, jobs: Jobs, folder: Path, parent: QObject) -> None:
+        super().__init__(parent)
+        self._jobs, self._folder = jobs, folder
+        self.wanted = True
+        self._cancelled = threading.Event()
+        self.running = False
+
+    def load_next(self, untitled: Sequence[Path]) -> bool:
+        """Read the stored diagnoses once, then missing titles of sessions; return False if nothing remains."""
+        if not self.running and self.wanted:
+            self.wanted = False
+            self._begin(functools.partial(read_kept, self._folder), self._kept_ended)
+        elif not self.running and untitled:
+            self._cancelled = threading.Event()
+            self._begin(functools.partial(read_titles, tuple(untitled), self._cancelled), self._titles_ended)
+        return self.running
+
+    def cancel(self) -> None:
+        """Request cancellation of the running job."""
+        self._cancelled.set()
+
+    def _begin(self, work: Callable[[], Any], ended: Callable[[Any], None]) -> None:
+        self.running = True
+        self._jobs.do(work, ended, self._broke)
+
+    def _kept_ended(self, kept: KeptDiagnoses) -> None:
+        self.running = False
+        self.kept_read.emit(kept)
+
+    def _titles_ended(self, titles: dict[Path, str | None]) -> None:
+        self.running = False
+        self.titles_read.emit(titles)
+
+    def _broke(self, words: str) -> None:
+        self.running = False
+        self.failed.emit(words)
+
 
 NOMINAL = marked("Nominal twin")
 _NEWEST = 20
@@ -39,7 +136,6 @@ _RECENT = 10
 """Maximum number of listed files from other folders."""
 _LONGEST = 120
 _SETTING = "gap"
-_STEPS = 1000
 _ONE_ROW = 640
 _FIELDS_IN_A_ROW = 480
 
@@ -66,7 +162,6 @@ class RequestPanel(QFrame):
             tip=_("Find out where simulated and recorded differ, and why (half a minute to some minutes)"),
             clicked=self.wanted,
         )
-        self.stop = button(_("Cancel"), self.unwanted, name=_("Cancel the diagnosis"))
         self.fold = styled(
             QToolButton(),
             text=_("Advanced"),
@@ -76,14 +171,16 @@ class RequestPanel(QFrame):
             name=_("Advanced: which tests to fit and to check"),
         )
         self.fit, self.check = QLineEdit(), QLineEdit()
+        self._choices = {"session": self.session, "twin": self.twin}
+        self._numbers = {"fit": self.fit, "check": self.check}
         self.more = QWidget()
-        self.doing = styled(QLabel(), role="muted")
-        self.bar = styled(QProgressBar(), text_visible=False, name=_("Progress of the diagnosis"))
+        names = _("Progress of the diagnosis"), _("Cancel the diagnosis")
+        self.progress = build.ProgressRow(QLabel(), *names, self.unwanted)
+        self.doing, self.bar, self.stop = self.progress.parts
         self._arrange()
         self.fold.toggled.connect(self._unfold)
         self.session.changed.connect(self.changed)
         self._unfold(False)
-        self.clear()
         self.look()
 
     @property
@@ -128,18 +225,9 @@ class RequestPanel(QFrame):
         (self.twin if path.suffix == ".toml" else self.session).choose(path)
 
     def _ask(self) -> None:
-        dialog = styled(
-            QFileDialog(
-                self,
-                _("Open a session or a twin"),
-                str((self.session.path or self._folder / "x").parent),
-                _("Sessions and twins (*.h5 *.toml);;All files (*)"),
-            ),
-            file_mode=QFileDialog.FileMode.ExistingFile,
-            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
-        )
-        dialog.fileSelected.connect(lambda path: self.take(Path(path)))
-        dialog.open()
+        kinds = _("Sessions and twins (*.h5 *.toml);;All files (*)")
+        folder = self._folder if self.session.path is None else self.session.path.parent
+        build.ask_path(self, _("Open a session or a twin"), folder, self.take, kinds)
 
     def on_session_saved(self, path: Path) -> None:
         """List a file that was saved."""
@@ -153,28 +241,7 @@ class RequestPanel(QFrame):
         """
         if isinstance(step, Message) and step.values.get("done") == 0:
             step, fraction = step.values["step"], None
-        self.doing.setText(translated(step) if fraction is not None else f"{translated(step)}…")
-        self.bar.setRange(0, 0 if fraction is None else _STEPS)
-        self.bar.setValue(0 if fraction is None else round(_STEPS * fraction))
-
-    def clear(self) -> None:
-        """Hide the progress."""
-        self.doing.hide()
-        self.bar.hide()
-        self.stop.hide()
-
-    def begin(self) -> None:
-        """Show the progress of a new diagnosis."""
-        for widget in (self.doing, self.bar, self.stop):
-            widget.show()
-        self.stop.setEnabled(True)
-        self.show_progress(None, _("Starting"))
-
-    def show_reason(self, why: str) -> None:
-        """Say why no diagnosis can start; an empty text hides it."""
-        if why or self.bar.isHidden():
-            self.doing.setText(why)
-            self.doing.setVisible(bool(why))
+        self.progress.show_progress(fraction, translated(step) + ("…" if fraction is None else ""))
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
@@ -184,39 +251,37 @@ class RequestPanel(QFrame):
 
     def restore(self, settings: QSettings) -> None:
         """Restore the selection of the last start, as far as its files exist."""
-        for name, choice in (("session", self.session), ("twin", self.twin)):
+        for name, files in self._choices.items():
             for recent in reversed(load_texts(settings, f"{_SETTING}/recent_{name}s")[:_RECENT]):
-                choice.add_recent(Path(recent))
+                files.add_recent(Path(recent))
             kept = str(settings.value(f"{_SETTING}/{name}", ""))
             if kept and Path(kept).is_file():
-                choice.choose(Path(kept))
+                files.choose(Path(kept))
         self.look()
-        self.fit.setText(str(settings.value(f"{_SETTING}/fit", "")))
-        self.check.setText(str(settings.value(f"{_SETTING}/check", "")))
+        for name, field in self._numbers.items():
+            field.setText(str(settings.value(f"{_SETTING}/{name}", "")))
         self.fold.setChecked(bool(self.fit.text() or self.check.text()))
 
     def save(self, settings: QSettings) -> None:
         """Save the selection."""
-        settings.setValue(f"{_SETTING}/session", str(self.session.path or ""))
-        settings.setValue(f"{_SETTING}/twin", str(self.twin.path or ""))
-        for name, choice in (("session", self.session), ("twin", self.twin)):
-            save_texts(settings, f"{_SETTING}/recent_{name}s", [str(path) for path in choice.recent])
-        settings.setValue(f"{_SETTING}/fit", self.fit.text())
-        settings.setValue(f"{_SETTING}/check", self.check.text())
+        for name, files in self._choices.items():
+            settings.setValue(f"{_SETTING}/{name}", str(files.path or ""))
+            save_texts(settings, f"{_SETTING}/recent_{name}s", [str(path) for path in files.recent])
+        for name, field in self._numbers.items():
+            settings.setValue(f"{_SETTING}/{name}", field.text())
 
     def _unfold(self, opened: bool) -> None:
         self.fold.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
         self.more.setVisible(opened)
 
     def _arrange(self) -> None:
-        choices = FoldingBox(_ONE_ROW)
-        choices.setSpacing(8)
-        for choice, share in ((self.session, 3), (self.twin, 2)):
-            label = styled(QLabel(choice.choice.accessibleName()), role="field")
-            choices.addLayout(build.column(label, choice.choice, spacing=2), share)
-        choices.addLayout(build.column(None, build.row(None, self.open, self.run, spacing=8)))
-        inside = FoldingBox(_FIELDS_IN_A_ROW, self.more)
-        inside.setContentsMargins(0, 0, 0, 0)
+        parts = []
+        for files, share in ((self.session, 3), (self.twin, 2)):
+            label = styled(QLabel(files.choice.accessibleName()), role="field")
+            parts.append((build.column(label, files.choice, spacing=2), share))
+        buttons = build.column(None, build.row(None, self.open, self.run, spacing=8))
+        choices = build.fill(FoldingBox(_ONE_ROW), *parts, buttons, spacing=8)
+        inside = build.fill(FoldingBox(_FIELDS_IN_A_ROW, self.more), spacing=None)
         for words, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
             label = styled(QLabel(words), buddy=field)
             build.styled(
@@ -249,19 +314,12 @@ class _FileChoice(QObject):
 
     def __init__(self, name: str, folder: Path, first: str = "") -> None:
         super().__init__()
-        self._folder, self._first = folder, first
+        self._folder = folder
         self._titles: dict[Path, str] = {}
         self.recent: list[Path] = []
-        self.choice = styled(
-            QComboBox(),
-            name=name,
-            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-            minimum_contents_length=12,
-            placeholder_text=_("No session: open one, or drop its file here"),
-        )
-        self.choice.currentIndexChanged.connect(self._tell)
-        if first:
-            self.choice.addItem(first, "")
+        self._first = {"": first} if first else {}
+        nothing = _("No session: open one, or drop its file here")
+        self.choice = build.choice(self._first, self._tell, 12, name=name, placeholder_text=nothing)
 
     @property
     def path(self) -> Path | None:
@@ -276,17 +334,9 @@ class _FileChoice(QObject):
 
     def offer(self, paths: list[Path]) -> None:
         """List recent files from other folders, then ``paths``; the selection stays."""
-        kept = self.path
-        self.choice.blockSignals(True)
-        self.choice.clear()
-        if self._first:
-            self.choice.addItem(self._first, "")
-        for path in dict.fromkeys([*(path for path in self.recent if path not in paths), *paths]):
-            self.choice.addItem("", str(path))
+        listed = dict.fromkeys([*(path for path in self.recent if path not in paths), *paths])
+        build.offer(self.choice, self._first | {str(path): "" for path in listed})
         self._show_titles()
-        place = self.choice.findData(str(kept)) if kept else -1
-        self.choice.setCurrentIndex(place if place >= 0 else 0 if self.choice.count() else -1)
-        self.choice.blockSignals(False)
         self._tell()
 
     def choose(self, path: Path) -> None:
@@ -295,7 +345,7 @@ class _FileChoice(QObject):
         self._remember(path)  # a listed one too: newer files may displace it from the list
         if place < 0:
             self._titles.pop(path, None)
-            place = 1 if self._first else 0
+            place = len(self._first)
             self.choice.insertItem(place, "", str(path))
             self._show_titles()
         self.choice.setCurrentIndex(place)

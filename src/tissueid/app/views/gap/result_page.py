@@ -14,14 +14,13 @@ from PySide6.QtWidgets import (
     QPushButton,
     QScrollArea,
     QSizePolicy,
-    QTabWidget,
     QWidget,
 )
 
 from tissueid.app import build
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance, faint
-from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
+from tissueid.app.views.gap.page_content import STAGE_TITLES, as_sentence, as_title
 from tissueid.app.views.gap.result_tabs import CandidatesTab, ClosureTab, LocalisationTab, NextTestTab
 from tissueid.app.widgets import show_level
 from tissueid.language import _, marked
@@ -114,14 +113,11 @@ class SignalChain(QWidget):
         top = [self._place(stage) for stage in ("drive", "coil", "mechanics", "sensing")]
         self._signals(painter, top)
         tissue, surround = self._place("tissue"), self._place("environment")
-        self._arrow(painter, QPointF(tissue.center().x(), tissue.top()), QPointF(top[2].center().x(), top[2].bottom()))
-        self._arrow(painter, QPointF(top[2].center().x(), top[2].bottom()), QPointF(tissue.center().x(), tissue.top()))
-        self._arrow(
-            painter, QPointF(surround.center().x(), surround.top()), QPointF(top[3].center().x(), top[3].bottom())
-        )
-        self._arrow(
-            painter, QPointF(surround.left(), surround.center().y()), QPointF(tissue.right(), surround.center().y())
-        )
+        contact = QPointF(tissue.center().x(), tissue.top()), QPointF(top[2].center().x(), top[2].bottom())
+        noise = QPointF(surround.center().x(), surround.top()), QPointF(top[3].center().x(), top[3].bottom())
+        press = QPointF(surround.left(), surround.center().y()), QPointF(tissue.right(), surround.center().y())
+        for ends in (contact, contact[::-1], noise, press):
+            self._arrow(painter, *ends)
         self._back_emf(painter, top[1], top[2], tissue)
 
     def _signals(self, painter: QPainter, top: Sequence[QRectF]) -> None:
@@ -283,20 +279,14 @@ class DiagnosisPage(QScrollArea):
         self.stage = build.label("heading")
         self.evidence = build.label()
         self.where, self.which, self.far, self.next = LocalisationTab(), CandidatesTab(), ClosureTab(), NextTestTab()
-        self.tabs = build.styled(QTabWidget(), document_mode=True)
-        self.tabs.tabBar().setDrawBase(False)
-        # One stop of the tab key, not two: the second would lead back to the bar, and never past it.
-        self.tabs.setFocusProxy(None)  # type: ignore[arg-type]
-        self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.tabs.tabBar().setAccessibleName(_("Where, which, how far, what next"))
-        for title, tab in (
-            (_("Where"), self.where),
-            (_("Which"), self.which),
-            (_("How far"), self.far),
-            (_("Next test"), self.next),
-        ):
-            self.tabs.addTab(tab, title)
+        pages = (
+            (self.where, _("Where")),
+            (self.which, _("Which")),
+            (self.far, _("How far")),
+            (self.next, _("Next test")),
+        )
+        self.tabs = build.tabs(_("Where, which, how far, what next"), *pages)
+        build.single_tab_stop(self.tabs)
         self.chain.chosen.connect(self._show_stage)
         self._arrange()
 
@@ -308,14 +298,7 @@ class DiagnosisPage(QScrollArea):
     @property
     def fields(self) -> list[QWidget]:
         """Widgets in tab order."""
-        first: list[QWidget] = [
-            self.again,
-            self.accept,
-            self.report,
-            self.export,
-            *self.chain.stages.values(),
-            self.tabs.tabBar(),
-        ]
+        first = [*self.buttons, *self.chain.stages.values(), self.tabs.tabBar()]
         return [*first, self.which.table, self.far.channel, *self.next.fields]
 
     def show_story(self, story: PageContent, state: State = "") -> None:

@@ -9,7 +9,6 @@ import numpy as np
 from PySide6.QtCore import QModelIndex, QPersistentModelIndex, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import (
-    QComboBox,
     QFrame,
     QHeaderView,
     QLabel,
@@ -28,7 +27,7 @@ from tissueid.app.build import button, styled
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance, faint
-from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
+from tissueid.app.views.gap.page_content import STAGE_TITLES, as_sentence, as_title
 from tissueid.formatting import plus_minus, share_text, with_unit
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
@@ -267,8 +266,7 @@ class ClosureTab(QWidget):
         self._overlays: tuple[SignalOverlay, ...] = ()
         self.bars = _GapBars()
         self.closing = build.label()
-        self.channel = build.styled(QComboBox(), name=_("Signal to look at"))
-        self.channel.currentIndexChanged.connect(self._show_chosen)
+        self.channel = build.choice({}, self._show_chosen, name=_("Signal to look at"))
         self.signals = PlotCanvas()
         self._arrange()
 
@@ -277,10 +275,7 @@ class ClosureTab(QWidget):
         self.bars.show_rows(story.budget)
         self.closing.setText(translated(story.closing))
         self._overlays = story.overlays
-        self.channel.blockSignals(True)
-        self.channel.clear()
-        self.channel.addItems([_(item.channel.capitalize()) for item in story.overlays])
-        self.channel.blockSignals(False)
+        build.offer(self.channel, {k: _(item.channel.capitalize()) for k, item in enumerate(story.overlays)}, 0)
         self.channel.setEnabled(len(story.overlays) > 1)
         if not story.overlays:
             self.signals.say_missing(_("Every sample was used for the fit: there is no held-out data to compare with."))

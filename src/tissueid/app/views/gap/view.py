@@ -3,38 +3,42 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from PySide6.QtCore import Qt, QTimer
-from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QAbstractButton,
-    QFileDialog,
+    QCheckBox,
+    QDialog,
+    QDialogButtonBox,
     QSizePolicy,
-    QStackedWidget,
+    QVBoxLayout,
     QWidget,
 )
 
-from tissueid.app.build import column, label, row, styled
+from tissueid.app import build
+from tissueid.app.build import ask_path, column, label, restore_tab, row, shortcut, stack, timer
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
 from tissueid.app.views.gap.diagnosis_list import DiagnosisList
-from tissueid.app.views.gap.diagnosis_loader import DiagnosisLoader
 from tissueid.app.views.gap.diagnosis_result import (
     DiagnosisResult,
+    KeptDiagnoses,
     accept_into_twin,
+    default_folder,
     export_json,
+    keep,
     proposed_twin,
+    remove,
     why_not_accepted,
     write_report,
 )
 from tissueid.app.views.gap.diagnosis_run import run_diagnosis
-from tissueid.app.views.gap.diagnosis_store import KeptDiagnoses, default_folder, keep, remove
-from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import prepared_words, session_url
-from tissueid.app.views.gap.request_panel import RequestPanel
+from tissueid.app.views.gap.page_content import as_title
+from tissueid.app.views.gap.request_panel import DiagnosisLoader, RequestPanel
 from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts
@@ -44,6 +48,48 @@ from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.control import Control
 from tissueid.procedures.gap_plans import DiagnosisPlan
+
+
+class EffectDialog(QDialog):
+    """A check box for each effect; ``chosen`` carries the names of the checked effects."""
+
+    chosen = Signal(list)
+
+    def __init__(self, offered: Sequence[tuple[str, str, bool]], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle(_("Accept into twin"))
+        about = build.label(
+            text=_(
+                "Which effects is the twin to have? Those that the diagnosis names are checked; another choice is "
+                "fitted to the session first."
+            )
+        )
+        self.boxes: dict[str, QCheckBox] = {}
+        self.buttons = QDialogButtonBox()
+        self.accept_button = self.buttons.addButton(_("Accept"), QDialogButtonBox.ButtonRole.AcceptRole)
+        self.buttons.addButton(_("Cancel"), QDialogButtonBox.ButtonRole.RejectRole)
+        column = QVBoxLayout(self)
+        column.addWidget(about)
+        for name, title, named in offered:
+            if name in self.boxes:
+                continue
+            box = build.styled(QCheckBox(as_title(title).replace("&", "&&")), checked=named)
+            box.toggled.connect(self._settle)
+            self.boxes[name] = box
+            column.addWidget(box)
+        column.addWidget(self.buttons)
+        self.buttons.accepted.connect(self.accept)
+        self.buttons.rejected.connect(self.reject)
+        self.accepted.connect(lambda: self.chosen.emit(self.names))
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the checked effects."""
+        return [name for name, box in self.boxes.items() if box.isChecked()]
+
+    def _settle(self) -> None:
+        self.accept_button.setEnabled(bool(self.names))
+
 
 _WELCOME = marked(
     "A simulation of the same test never equals the recording. Choose a session and run: this page says whether the "
@@ -69,26 +115,21 @@ class GapView(View):
         self._kept_in = default_folder()
         self.background = DiagnosisLoader(context.jobs, self._kept_in, self)
         self._busy = self._testing = False
-        self._looking = QTimer(self)
-        self._looking.setInterval(_LOOK_MS)
+        self._looking = timer(self, _LOOK_MS, self._look, repeat=True)
         # Not from within a job's end: the other pages must have settled first.
-        self.refresh_timer = QTimer(self)
-        self.refresh_timer.setSingleShot(True)
-        self.refresh_timer.setInterval(0)
+        self.refresh_timer = timer(self, 0, self._go_on)
         self.asking = RequestPanel(
             context.services.folder, lambda: [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         )
         self.history = DiagnosisList()
         self.result = DiagnosisPage()
         self.welcome = label("muted", text=_(_WELCOME), alignment=Qt.AlignmentFlag.AlignTop)
-        self._stack = QStackedWidget()
-        self._stack.addWidget(self.welcome)
-        self._stack.addWidget(self.result)
+        self._stack = stack(self.welcome, self.result)
         self._stack.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self._arrange()
         self._connect()
         self.asking.restore(context.settings)
-        self.result.tabs.setCurrentIndex(_whole_number(context.settings.value(_TAB, 0)))
+        restore_tab(self.result.tabs, context.settings.value(_TAB))
         self._show_chosen()
 
     # -- what the window tells ------------------------------------------------------------------------------------
@@ -111,7 +152,7 @@ class GapView(View):
         working = self.context.jobs.working
         waits = working or testing or (busy and not self.background.running)
         self.asking.update_enabled(busy=waits, testing=testing)
-        self.asking.show_reason(self.context.jobs.why_no_work if working and not self._running else "")
+        self.asking.progress.show_reason(self.context.jobs.why_no_work if working and not self._running else "")
         self.result.update_enabled(busy=busy, testing=testing, working=working)
         if not busy:
             self.refresh_timer.start()
@@ -147,7 +188,8 @@ class GapView(View):
             self.context.say(in_words(error), problem=True)
             return
         self._control, self._running = JobControl(), True
-        self.asking.begin()
+        self.asking.stop.setEnabled(True)
+        self.asking.show_progress(None, _("Starting"))
         self._looking.start()
         self.asking.stop.setFocus()
         separate_process = self.context.services.separate_process
@@ -225,7 +267,7 @@ class GapView(View):
         self._running = False
         self._looking.stop()
         self.asking.session.choice.setFocus() if waited else None
-        self.asking.clear()
+        self.asking.progress.clear()
         return waited
 
     def _show_chosen(self) -> None:
@@ -277,39 +319,28 @@ class GapView(View):
         if result is not None:
             path = proposed_twin(result, effects)
             accept = functools.partial(self._accept, effects)
-            self._ask(_("Save the twin"), path, _("Twins (*.toml)"), "toml", accept)
+            self._ask(_("Save the twin"), path, _("Twins (*.toml)"), accept)
 
     def _ask_for_json(self) -> None:
         result = self.history.result
         if result is not None:
             session = result.asked.session
             path = session.with_name(f"{session.stem}-gap.json")
-            self._ask(_("Save the answer"), path, "JSON (*.json)", "json", self._export)
+            self._ask(_("Save the answer"), path, "JSON (*.json)", self._export)
 
-    def _ask(self, title: str, path: Path, kinds: str, suffix: str, then: Callable[[str], None]) -> None:
-        dialog = styled(
-            QFileDialog(self, title, str(path.parent), kinds),
-            accept_mode=QFileDialog.AcceptMode.AcceptSave,
-            default_suffix=suffix,
-        )
-        dialog.selectFile(path.name)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(then)
-        dialog.open()
+    def _ask(self, title: str, path: Path, kinds: str, then: Callable[[Path], None]) -> None:
+        ask_path(self, title, path.parent, then, kinds, save=path.name, default_suffix=path.suffix[1:])
 
-    def _accept(self, effects: list[str], path: str) -> None:
+    def _accept(self, effects: list[str], path: Path) -> None:
         trail, separate_process = self.context.trail, self.context.services.separate_process
-        self._keep(
-            lambda result: (
-                Path(path),
-                accept_into_twin(result, Path(path), trail, effects, separate_process=separate_process),
-            ),
-            self._accepted,
-            long=True,
-        )
 
-    def _export(self, path: str) -> None:
-        self._keep(lambda result: export_json(result, Path(path)), self._exported)
+        def accept(result: DiagnosisResult) -> tuple[Path, str]:
+            return path, accept_into_twin(result, path, trail, effects, separate_process=separate_process)
+
+        self._keep(accept, self._accepted, long=True)
+
+    def _export(self, path: Path) -> None:
+        self._keep(lambda result: export_json(result, path), self._exported)
 
     def _report(self) -> None:
         written = self._written
@@ -380,7 +411,6 @@ class GapView(View):
             QWidget.setTabOrder(before, after)
 
     def _connect(self) -> None:
-        self._looking.timeout.connect(self._look)
         self.asking.wanted.connect(self.begin)
         self.asking.unwanted.connect(self.stop)
         self.asking.changed.connect(self._resettle)
@@ -390,20 +420,13 @@ class GapView(View):
         self.background.kept_read.connect(self._restore)
         self.background.titles_read.connect(self.asking.session.entitle)
         self.background.failed.connect(self._not_kept)
-        self.refresh_timer.timeout.connect(self._go_on)
         self.result.again.clicked.connect(self.begin_again)
         self.result.accept.clicked.connect(self._ask_for_twin)
         self.result.report.clicked.connect(self._report)
         self.result.export.clicked.connect(self._ask_for_json)
         self.result.next.wanted.connect(self._prepare)
-        start = QShortcut(QKeySequence("Ctrl+Return"), self)
-        start.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-        start.activated.connect(self.begin)
+        shortcut(self, "Ctrl+Return", self.begin)
 
     def _resettle(self) -> None:
         self.update_enabled(busy=self._busy, testing=self._testing)
         show_disabled_reason(self.waiting(), self.context.jobs.why_no_work)
-
-
-def _whole_number(kept: object) -> int:
-    return int(text) if (text := str(kept)).isdecimal() and len(text) < 3 else 0

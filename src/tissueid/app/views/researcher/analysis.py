@@ -23,11 +23,10 @@ from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import JobControl
 from tissueid.app.small_window import FoldingSplitter
-from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
 from tissueid.app.views.researcher.calibration_button import CalibrationButton
 from tissueid.app.views.researcher.engine_form import EngineForm
-from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.engine_outcome import MOST_TESTS, AnalysisTask, EngineOutcome
 from tissueid.app.views.researcher.history_list import STATE, HistoryList, restore_state, saved_state
 from tissueid.app.views.researcher.pictures import Pictures
 from tissueid.app.views.researcher.population_view import PopulationView

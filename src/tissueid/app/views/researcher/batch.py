@@ -9,8 +9,7 @@ from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, specifications
 from tissueid.app.user_files import stamp_of
-from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask
-from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.engine_outcome import MOST_TESTS, AnalysisTask, EngineOutcome
 from tissueid.app.views.researcher.recommendation_view import ComparisonSummary, summary_of
 from tissueid.app.views.researcher.results_store import AnalysisHistory, HistoryEntry
 from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of

@@ -16,9 +16,8 @@ from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
-from tissueid.app.views.researcher.session_tree import SessionFilter, SessionTree
+from tissueid.app.views.researcher.session_tree import DATE, ITEM, SessionFilter, SessionModel, SessionTree
 from tissueid.app.widgets import plain_tip
 from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts, save_texts, visited_studies
 from tissueid.formatting import clean, grouped, subject_text

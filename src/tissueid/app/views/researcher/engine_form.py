@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 from tissueid.app import build
 from tissueid.app.number_field import NumberField
 from tissueid.app.option_field import OptionField
-from tissueid.app.views.researcher.analysis_task import Preparation
+from tissueid.app.views.researcher.engine_outcome import Preparation
 from tissueid.app.views.researcher.selected_test import signal_title
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError

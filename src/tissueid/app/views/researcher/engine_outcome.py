@@ -4,20 +4,171 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, GetPydanticSchema, TypeAdapter
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, GetPydanticSchema, TypeAdapter
 from pydantic_core import core_schema
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.plot import Curve, Plot
 from tissueid.app.user_files import Stamp
-from tissueid.app.views.researcher.analysis_task import AS_RECORDED, MOST_TESTS, Preparation, Value
-from tissueid.app.views.researcher.plot_data import PlotData
-from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels, short_label
+from tissueid.app.views.researcher.selected_test import SelectedTest, ShortText, distinguishing_labels, short_label
+from tissueid.app.words import sentence
 from tissueid.formatting import plain_text
-from tissueid.identification import FitReport, engine_label, engine_names, get_engine
+from tissueid.identification import Engine, FitReport, engine_label, engine_names, get_engine
 from tissueid.language import _, marked
+from tissueid.messages import translated
 from tissueid.stored_values import Name, StoredText, Texts
+
+if TYPE_CHECKING:
+    from tissueid.analysis.curves.results import Panel
+    from tissueid.analysis.split import Selection
+
+Array = NDArray[np.float64]
+KERNELS = marked("Kernel image")
+OUTPUT = marked("Model output")
+DEPTH = marked("Against depth")
+PICTURES: Mapping[str, tuple[Panel, ...]] = {
+    OUTPUT: ("output", "residual"),
+    marked("Impulse response"): ("impulse",),
+    marked("Bode diagram"): ("magnitude", "phase", "coherence"),
+    marked("Static nonlinearity"): ("nonlinearity",),
+    DEPTH: ("mass", "damping", "stiffness"),
+    marked("Correlations of the record"): ("input_correlation", "input_to_output"),
+    marked("Residual tests"): ("autocorrelation", "cross"),
+    KERNELS: (),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class PlotData:
+    """Plots of one analysis; ``units`` holds the units of the panels that have one."""
+
+    panels: dict[Panel, Plot] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    kernels: tuple[Plot, ...] = ()
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing to draw."""
+        return not self.kernels and not any(plot.parts for plot in self.panels.values())
+
+
+def overlay(plots: Sequence[Plot], colours: Sequence[str], names: Sequence[str], *, same_data: bool) -> Plot:
+    """Return the plots of several results in one.
+
+    Args:
+        plots: plots of the same panel; those without curves are left out.
+        colours: colour of each result.
+        names: name of each result in the key.
+        same_data: whether all were fitted to the same data, whose measurement is then drawn once.
+    """
+    under: list[Curve] = []
+    over: list[Curve] = []
+    said: set[str] = set()
+    for plot, colour, name in zip(plots, colours, names, strict=False):
+        named = False
+        for curve in plot.curves:
+            text = "" if curve.name in said else curve.name
+            said.add(curve.name)
+            if curve.colour != "measured":
+                own = name if not named and not curve.name else text
+                named = named or not curve.name
+                over.append(replace(curve, colour=colour, name=own))
+            elif not same_data:
+                under.append(replace(curve, colour=colour, name=text, opacity=0.3, width=2.0))
+            elif not under:
+                under.append(replace(curve, colour="muted", opacity=0.6, width=2.0))
+        if not named:  # the key names every result
+            over.append(Curve(np.zeros(0), np.zeros(0), name, colour))
+    first = next((plot for plot in plots if plot.parts), None)
+    if first is None:
+        reasons = dict.fromkeys(sentence(translated(plot.missing)) for plot in plots if plot.missing)
+        return replace(plots[0], parts=tuple(over), missing=" ".join(reasons))
+    return replace(first, parts=(*under, *over))
+
+
+MOST_TESTS = 5000
+
+Value = None | bool | int | float | ShortText | Annotated[list[float], Field(max_length=200)]
+
+
+class _Specification(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Preparation(_Specification):
+    """What is done to the signals before a fit, and whether mass and damping of the tissue alone are reported."""
+
+    detrend: bool = False
+    low_hz: Annotated[float | None, Field(gt=0.0)] = None
+    high_hz: Annotated[float | None, Field(gt=0.0)] = None
+    tissue_alone: bool = False
+
+    @property
+    def without_actuator(self) -> Preparation:
+        """The same for a comparison, which reports no parameters of the tissue alone."""
+        return self.model_copy(update={"tissue_alone": False})
+
+    @property
+    def changed(self) -> dict[str, Any]:
+        """What differs from the defaults, by name."""
+        return self.model_dump(exclude_defaults=True)
+
+
+AS_RECORDED = Preparation()
+
+
+class AnalysisTask(_Specification):
+    """One run. A comparison has several ``engines`` with default options.
+
+    ``together`` fits the tests of one file together; otherwise each is fitted by itself.
+    """
+
+    kind: Literal["run", "compare"] = "run"
+    engines: Annotated[tuple[Name, ...], Field(min_length=1, max_length=100)]
+    options: Annotated[dict[Name, Value], Field(max_length=60)] = {}
+    input_name: Name = "force"
+    output_name: Name = "position"
+    preparation: Preparation = AS_RECORDED
+    together: bool = False
+    tests: Annotated[tuple[SelectedTest, ...], Field(max_length=MOST_TESTS)] = ()
+
+    @property
+    def groups(self) -> list[tuple[SelectedTest, ...]]:
+        """Groups of tests that are fitted together, in the order of selection."""
+        chosen = list(dict.fromkeys(self.tests))
+        if not self.together:
+            return [(test,) for test in chosen]
+        by_file: dict[Path, list[SelectedTest]] = {}
+        for test in chosen:
+            by_file.setdefault(test.path, []).append(test)
+        return [tuple(tests) for tests in by_file.values()]
+
+    def selection(self, group: Sequence[SelectedTest]) -> Selection:
+        """Return tests and signals of a group for an analysis or a comparison."""
+        first, *others = group
+        return {
+            "test": first.number,
+            "also": [test.number for test in others],
+            "input_name": self.input_name,
+            "output_name": self.output_name,
+            "detrend": self.preparation.detrend,
+            "band_hz": (self.preparation.low_hz, self.preparation.high_hz),
+        }
+
+    def specification(self) -> Engine:
+        """Return the engine with its options.
+
+        Raises:
+            UnusableInputError: there is no such engine, or an option is not one that it takes.
+        """
+        options: dict[str, Any] = dict(self.options)
+        return get_engine(self.engines[0]).from_options(options)
+
 
 _UNITS = TypeAdapter(Annotated[dict[Name, Annotated[str, Field(max_length=40)]], Field(max_length=40)])
 

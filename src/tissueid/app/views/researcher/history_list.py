@@ -18,9 +18,8 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app import build
-from tissueid.app.views.researcher.analysis_task import AnalysisTask, Preparation
 from tissueid.app.views.researcher.engine_form import EngineForm
-from tissueid.app.views.researcher.engine_outcome import changed_options
+from tissueid.app.views.researcher.engine_outcome import AnalysisTask, Preparation, changed_options
 from tissueid.app.views.researcher.recommendation_view import RecommendationView
 from tissueid.app.views.researcher.results_store import MOST_ENTRIES, HistoryEntry
 from tissueid.errors import TissueIDError

@@ -14,8 +14,7 @@ from scipy.stats import t as student
 
 from tissueid.analysis.curves.comparison_plots import Centre, histogram_plot, points_plot
 from tissueid.analysis.curves.plot import Axis, Plot
-from tissueid.app.views.researcher.engine_outcome import EngineOutcome
-from tissueid.app.views.researcher.plot_data import Array
+from tissueid.app.views.researcher.engine_outcome import Array, EngineOutcome
 from tissueid.formatting import axis_label, clean, label_and_unit, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked

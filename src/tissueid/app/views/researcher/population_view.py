@@ -16,6 +16,7 @@ from tissueid.app.build import button, column, styled
 from tissueid.app.plot_canvas import PlotCanvas, Point
 from tissueid.app.theme import LIGHT, appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, variant_of
+from tissueid.app.views.researcher.pictures import PopulationFigure
 from tissueid.app.views.researcher.population import (
     ACROSS,
     DISTRIBUTION,
@@ -27,7 +28,6 @@ from tissueid.app.views.researcher.population import (
     population,
     population_plot,
 )
-from tissueid.app.views.researcher.result_figures import PopulationFigure
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.app.widgets import ElidedLabel
 from tissueid.formatting import axis_label, fixed, grouped, label_and_unit, plus_minus, with_unit

@@ -12,8 +12,7 @@ from typing import Any
 from pydantic import AwareDatetime, BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from tissueid.app.user_files import Stamp, default_path, stamp_of
-from tissueid.app.views.researcher.analysis_task import AnalysisTask
-from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.engine_outcome import AnalysisTask, EngineOutcome
 from tissueid.atomic_write import atomic_file, open_regular, private_folder, private_opener
 from tissueid.stored_values import StoredText
 from tissueid.untrusted_input import json_value

@@ -28,15 +28,18 @@ from tissueid.app.theme import LIGHT, appearance
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.plot_stack import (
     MOST_PLOTS,
+    MOST_TESTS,
     SHORTEST_S,
+    Channel,
+    LoadedTest,
     PlotStack,
+    SignalLoading,
     SpectrumCard,
     series,
     spectrum_of,
 )
 from tissueid.app.views.researcher.save_dialog import SaveDialog
 from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels
-from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest, SignalLoading
 from tissueid.app.widgets import ElidedLabel, plain_tip
 from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import fixed, grouped, plus_minus

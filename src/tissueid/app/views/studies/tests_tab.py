@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from PySide6.QtCore import QAbstractTableModel, QModelIndex, QObject, QPersistentModelIndex, Qt
-from PySide6.QtGui import QColor, QKeySequence, QShortcut
+from PySide6.QtGui import QColor, QKeySequence
 from PySide6.QtWidgets import (
     QComboBox,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QLineEdit,
@@ -272,32 +271,22 @@ class TestsTab(QWidget):
             tip=_("Rows that have every word (Ctrl+F)"),
             clear_button_enabled=True,
         )
-        self.choices = tuple(QComboBox() for _name in _NAMES)
+        filtering = _("Filter by {column}")
+        self.choices = tuple(
+            build.choice({"": _(text)}, self._filter, len(_(text)), name=filtering.format(column=_(name)))
+            for name, text in zip(_NAMES, _ALL, strict=True)
+        )
         self.subject, self.site, self.condition = self.choices
-        for choice, name, everything in zip(self.choices, _NAMES, _ALL, strict=True):
-            build.styled(
-                choice,
-                name=_("Filter by {column}").format(column=_(name)),
-                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-                minimum_contents_length=len(_(everything)),
-            )
-            choice.addItem(_(everything), "")
-            choice.currentIndexChanged.connect(self._filter)
         self.parameters = button(_("Parameters"), tip=_("Columns of the table"), menu=QMenu(self))
         self.count = styled(QLabel(), role="muted", word_wrap=True, minimum_width=1)
         self.table = QTableView()
         self._dress()
-        holder = QWidget()
-        fill(FoldingBox(_FILTERS_IN_A_ROW, holder), self.words, *self.choices, self.parameters)
-        foot = QHBoxLayout()
-        foot.addWidget(self.count, 1)
-        build.column(holder, (self.table, 1), foot, margins=(0, 8, 0, 0), parent=self)
+        filters = build.holder(fill(FoldingBox(_FILTERS_IN_A_ROW), self.words, *self.choices, self.parameters))
+        build.column(filters, (self.table, 1), self.count, margins=(0, 8, 0, 0), parent=self)
         self.words.textChanged.connect(self._filter)
         self.model.modelReset.connect(self._span)
         self.model.layoutChanged.connect(self._span)
-        find = QShortcut(QKeySequence(QKeySequence.StandardKey.Find), self)
-        find.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-        find.activated.connect(self.words.setFocus)
+        build.shortcut(self, QKeySequence.StandardKey.Find, self.words.setFocus)
 
     def show_study(self, data: StudyData) -> None:
         """Show the tests of a study; filters and columns stay as far as they fit."""
@@ -365,16 +354,10 @@ class TestsTab(QWidget):
 
     def _offer(self, choice: QComboBox, values: Iterable[str]) -> None:
         """Offer values; the chosen one stays if it is among them."""
-        asked = str(choice.currentData() or "")
-        choice.blockSignals(True)
-        for place in range(choice.count() - 1, 0, -1):
-            choice.removeItem(place)
-        for value in sorted({value for value in values if value}, key=str.casefold)[:_MOST_OFFERED]:
-            choice.addItem(subject_text(value) if choice is self.subject else clean(value), value)
-        if choice is self.condition and choice.count() > 1:
-            choice.addItem(_("without a condition"), WITHOUT)
-        choice.setCurrentIndex(max(0, choice.findData(asked)))
-        choice.blockSignals(False)
+        offered = sorted({value for value in values if value}, key=str.casefold)[:_MOST_OFFERED]
+        named = subject_text if choice is self.subject else clean
+        without = {WITHOUT: _("without a condition")} if choice is self.condition and offered else {}
+        build.offer(choice, {"": choice.itemText(0)} | {value: named(value) for value in offered} | without)
 
     def _fill_menu(self) -> None:
         menu = self.parameters.menu()

@@ -8,23 +8,22 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QAbstractButton, QTabWidget, QWidget
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QAbstractButton, QComboBox, QWidget
 
-from tissueid.app.build import column, label, styled, timer
+from tissueid.app.build import button, choice, column, label, offer, restore_tab, row, single_tab_stop, tabs, timer
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
-from tissueid.app.views.studies.figures_tab import FiguresTab
-from tissueid.app.views.studies.protocol_dialog import ProtocolDialog
-from tissueid.app.views.studies.request_row import RequestRow
+from tissueid.app.plot_canvas import PlotCanvas
+from tissueid.app.views.studies.request_row import ProtocolDialog, RequestRow
 from tissueid.app.views.studies.study_data import (
     StudyData,
+    StudyFigures,
     analyse_study,
     compute_figures,
     load_study,
     report_and_load,
 )
-from tissueid.app.views.studies.study_figures import StudyFigures
 from tissueid.app.views.studies.tests_tab import TestsTab
 from tissueid.app.words import in_words
 from tissueid.atomic_write import private_folder
@@ -35,6 +34,74 @@ from tissueid.procedures.control import Control
 from tissueid.procedures.study_plans import StudyReportPlan
 from tissueid.procedures.study_protocol import Protocol, template
 from tissueid.procedures.study_sitting import save_protocol
+
+_MOST_REMARKS = 6
+
+
+class FiguresTab(QWidget):
+    """One figure at a time, chosen by kind and parameter. ``wanted`` asks for the figures."""
+
+    wanted = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.figures = StudyFigures()
+        self.canvas = PlotCanvas(_("Figure of the study"))
+        self.compute = button(_("Compute figures"), self.wanted, tip=_("Statistics and figures of the table as it is"))
+        saving = _("Save the figure as PNG, SVG or PDF, or its numbers as CSV")
+        self.save = button(_("Save figure…"), self.canvas.ask_where_to_save, tip=saving)
+        self.kind = choice({}, self._choose_kind, 10, name=_("Kind of the figure"))
+        self.parameter = choice({}, self._draw, 10, name=_("Parameter of the figure"))
+        self.remarks = label("muted")
+        top = row((self.kind, 1), (self.parameter, 1), self.save, self.compute)
+        column(top, (self.canvas, 1), self.remarks, margins=(0, 8, 0, 0), parent=self)
+        self.show_figures(None, analysed=False)
+
+    @property
+    def fields(self) -> list[QWidget]:
+        """Widgets in tab order."""
+        return [self.kind, self.parameter, self.save, self.compute]
+
+    def show_figures(self, found: StudyFigures | None, *, analysed: bool) -> None:
+        """Offer the figures of a study; the chosen kind and parameter stay if they are there."""
+        self.figures = found or StudyFigures()
+        _fill(self.kind, [heading for heading, _figures in self.figures.groups])
+        shown, more = list(self.figures.remarks[:_MOST_REMARKS]), len(self.figures.remarks) - _MOST_REMARKS
+        shown += [_("and {count} more: see the report").format(count=more)] * (more > 0)
+        self.remarks.setText("\n".join(shown))
+        self.remarks.setVisible(bool(shown))
+        self._choose_kind()
+        if found is None:
+            self.canvas.say_missing(
+                _("Press “Compute figures” to draw the figures of this table.")
+                if analysed
+                else _("Press “Analyse” first: the figures are drawn from its table.")
+            )
+
+    def update_enabled(self, *, busy: bool, has_table: bool) -> None:
+        """Enable what makes sense now."""
+        self.compute.setEnabled(has_table and not busy)
+
+    def _choose_kind(self) -> None:
+        place = self.kind.currentIndex()
+        figures = self.figures.groups[place][1] if place >= 0 else ()
+        _fill(self.parameter, [label for label, _plot in figures])
+        self.save.setEnabled(bool(figures))
+        self._draw()
+
+    def _draw(self) -> None:
+        place = self.kind.currentIndex()
+        if place < 0:
+            self.canvas.say_missing(_("The table has no parameter that can be drawn."))
+        else:
+            self.canvas.show_plots([self.figures.groups[place][1][self.parameter.currentIndex()][1]])
+
+
+def _fill(box: QComboBox, texts: list[str]) -> None:
+    """Offer texts; the chosen one stays if it is there."""
+    offer(box, {text: text for text in texts})
+    box.setEnabled(len(texts) > 1)
+
 
 _WELCOME = marked(
     "A study is a folder with the sessions of several subjects.\n\n"
@@ -62,15 +129,8 @@ class StudiesView(View):
         self.asking = RequestRow()
         self.tests = TestsTab()
         self.figures = FiguresTab()
-        self.tabs = styled(QTabWidget(), document_mode=True)
-        self.tabs.tabBar().setDrawBase(False)
-        self.tabs.tabBar().setAccessibleName(_("Tests and figures"))
-        # One stop of the tab key, not two: the bar alone.
-        self.tabs.setFocusProxy(None)  # type: ignore[arg-type]
-        self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.tabs.addTab(self.tests, _("Tests"))
-        self.tabs.addTab(self.figures, _("Figures"))
+        self.tabs = tabs(_("Tests and figures"), (self.tests, _("Tests")), (self.figures, _("Figures")))
+        single_tab_stop(self.tabs)
         self.welcome = label("muted", text=_(_WELCOME), alignment=Qt.AlignmentFlag.AlignTop)
         column(self.asking, (self.welcome, 1), (self.tabs, 1), spacing=8, margins=(12, 10, 12, 6), parent=self)
         self.tabs.hide()
@@ -89,7 +149,7 @@ class StudiesView(View):
         self.asking.unwanted.connect(self.cancel)
         self.figures.wanted.connect(self.compute_figures)
         self._last = self.asking.restore(context.settings)
-        self.tabs.setCurrentIndex(1 if str(context.settings.value(_TAB, "0")) == "1" else 0)
+        restore_tab(self.tabs, context.settings.value(_TAB))
 
     # -- what the window tells ------------------------------------------------------------------------------------
 
@@ -100,8 +160,7 @@ class StudiesView(View):
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
         self.asking.update_enabled(busy=busy or testing, working=self.context.no_work)
-        if not self._running:
-            self.asking.show_reason(self.context.jobs.why_no_work if self.context.jobs.working else "")
+        self.asking.progress.show_reason(self.context.jobs.why_no_work if self.context.jobs.working else "")
         has_table = self.data is not None and self.data.tests > 0
         self.figures.update_enabled(busy=self.context.no_work, has_table=has_table)
         if not busy:
@@ -167,7 +226,6 @@ class StudiesView(View):
         """Show the protocol, or a proposal for a study without one, to be changed and saved."""
         if self.data is not None:
             dialog = ProtocolDialog(self.data.protocol or template(), self)
-            dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
             dialog.saved.connect(self.save_protocol)
             dialog.open()
 
@@ -204,12 +262,13 @@ class StudiesView(View):
 
     def _show_progress(self) -> None:
         if self._running:
-            self.asking.show_progress(self._control.fraction, self._control.step or _("Starting"))
+            step = translated(self._control.step or _("Starting"))
+            self.asking.progress.show_progress(self._control.fraction, step)
 
     def _over(self) -> None:
         self._running = False
         self._looking.stop()
-        self.asking.clear()
+        self.asking.progress.clear()
 
     def _ended(self, result: Any) -> None:
         self._over()

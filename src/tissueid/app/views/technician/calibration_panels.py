@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QWidget
+from PySide6.QtWidgets import QComboBox, QFrame, QLabel, QWidget
 
 from tissueid.analysis.curves.calibration_plots import ALONG_STROKE, residual_plot, stroke_plot, trend_plot
 from tissueid.app import build
@@ -56,27 +56,13 @@ class StaticsPanel(QWidget):
             right=(1,),
         )
         self.figures = table_of(self.model, _("Figures of the static calibration"), (250, 175))
-        self.line = build.styled(
-            QComboBox(), name=_("Which line's residuals"), tip=_("Which line's residuals are shown")
-        )
-        self.line.currentIndexChanged.connect(self._show_residuals)
-        self.figure = build.styled(
-            QComboBox(), name=_("Figure whose trend is shown"), tip=_("Figure whose trend over the dates is shown")
-        )
-        self.figure.currentIndexChanged.connect(self._show_trend)
-        for choice in (self.line, self.figure):
-            build.styled(
-                choice,
-                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-                minimum_contents_length=16,
-            )
+        residuals_of, trend_of = _("Which line's residuals are shown"), _("Figure whose trend over the dates is shown")
+        self.line = build.choice({}, self._show_residuals, 16, name=_("Which line's residuals"), tip=residuals_of)
+        self.figure = build.choice({}, self._show_trend, 16, name=_("Figure whose trend is shown"), tip=trend_of)
         self.off, self.over_dates = PlotCanvas(), PlotCanvas()
         self.drift = build.label("muted")
-        below = QHBoxLayout()
-        below.setSpacing(6)
-        for choice, card in ((self.line, self.off), (self.figure, self.over_dates)):
-            column = build.column(choice, (card, 1), spacing=4)
-            below.addLayout(column, 1)
+        halves = ((self.line, self.off), (self.figure, self.over_dates))
+        below = build.row(*[(build.column(choice, (card, 1), spacing=4), 1) for choice, card in halves])
         build.column(self.headline, self.said, (self.figures, 3), (below, 3), self.drift, spacing=4, parent=self)
 
     def show_statics(self, chosen: Sequence[Calibration], stored: Sequence[Calibration]) -> None:
@@ -110,12 +96,7 @@ class StaticsPanel(QWidget):
 
     @staticmethod
     def _fill(choice: QComboBox, items: Sequence[tuple[str, str]], kept: object) -> None:
-        choice.blockSignals(True)
-        choice.clear()
-        for text, name in items:
-            choice.addItem(clean(text), name)
-        choice.setCurrentIndex(max(0, choice.findData(kept)) if items else -1)
-        choice.blockSignals(False)
+        build.offer(choice, {name: clean(text) for text, name in items}, kept)
         choice.setEnabled(bool(items))
 
     def _show_residuals(self) -> None:
@@ -161,12 +142,8 @@ class SweepsPanel(QWidget):
         self.comparison: CalibrationComparison | None = None
         self.words = build.label("headline")
         self.remarks = build.label("muted")
-        self.against = build.styled(
-            QComboBox(),
-            name=_("Compare the newest sweep with"),
-            tip=_("Compare the newest of the selected sweeps with"),
-        )
-        self.against.currentIndexChanged.connect(self._compare)
+        comparing = _("Compare the newest of the selected sweeps with")
+        self.against = build.choice({}, self._compare, name=_("Compare the newest sweep with"), tip=comparing)
         appearance.changed.connect(self._show_key)
         self.cards = {name: PlotCanvas(_(axis.label)) for name, (axis, _scale) in ALONG_STROKE.items()}
         for card in self.cards.values():
@@ -181,14 +158,10 @@ class SweepsPanel(QWidget):
         self.figures = table_of(
             self.model, _("Figures of the sweeps and their differences"), (178, 75, 60, 165, 130, 130)
         )
-        self.tabs = build.styled(QTabWidget(), document_mode=True)
-        self.tabs.tabBar().setDrawBase(False)
-        self.tabs.tabBar().setAccessibleName(_("Sweeps: along the stroke, or figures"))
-        self.tabs.addTab(self._make_plots(), _("Along the stroke"))
-        self.tabs.addTab(self.figures, _("Values"))
-        top = QHBoxLayout()
-        top.addWidget(self.words, 1)
-        top.addWidget(self.against, 0, Qt.AlignmentFlag.AlignTop)
+        pages = (self._make_plots(), _("Along the stroke")), (self.figures, _("Values"))
+        self.tabs = build.tabs(_("Sweeps: along the stroke, or figures"), *pages)
+        top = build.row((self.words, 1), self.against)
+        top.setAlignment(self.against, Qt.AlignmentFlag.AlignTop)
         build.column(top, self.remarks, (self.tabs, 1), spacing=4, parent=self)
 
     def _make_plots(self) -> QWidget:
@@ -201,28 +174,16 @@ class SweepsPanel(QWidget):
         )
         card = build.styled(QFrame(), role="card")
         build.column(build.label("heading", _("Legend")), self.key, None, margins=(12, 8, 12, 8), parent=card)
-        page = QWidget()
-        grid = QGridLayout(page)
-        grid.setContentsMargins(0, 6, 0, 0)
-        grid.setSpacing(6)
-        for number, widget in enumerate((*self.cards.values(), card)):
-            grid.addWidget(widget, number // 2, number % 2)
-        for line in range(3):
-            grid.setRowStretch(line, 1)
-        for column in range(2):
-            grid.setColumnStretch(column, 1)
-        return page
+        return build.holder(
+            build.tiles(2, *self.cards.values(), card, stretch_rows=True, contents_margins=(0, 6, 0, 0))
+        )
 
     def show_sweeps(self, sweeps: Sequence[Calibration]) -> None:
         """Show these; the newest is the one that is compared."""
         self._sweeps = tuple(sorted(sweeps, key=lambda item: item.made, reverse=True)[:MOST])
-        self.against.blockSignals(True)
-        self.against.clear()
-        for sweep in self._sweeps[1:]:
-            self.against.addItem(
-                _("against {date}, {serial}").format(date=sweep.date[:10], serial=clean(sweep.serial_number)[:30])
-            )
-        self.against.blockSignals(False)
+        said = _("against {date}, {serial}")
+        texts = [said.format(date=one.date[:10], serial=clean(one.serial_number)[:30]) for one in self._sweeps[1:]]
+        build.offer(self.against, dict(enumerate(texts)), 0)
         self.against.setVisible(len(self._sweeps) > 2)
         for name, card in self.cards.items():
             card.show_plots([stroke_plot(name, self._sweeps, ROLES)])

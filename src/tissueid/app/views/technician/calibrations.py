@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QSplitter, QStackedWidget, QWidget
+from PySide6.QtWidgets import QWidget
 
 from tissueid.app import build
-from tissueid.app.build import button, label, styled
+from tissueid.app.build import button, label
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.views.technician.calibration_panels import StaticsPanel, SweepsPanel
@@ -162,17 +162,9 @@ class CalibrationsTab(Tab):
         self.hint = label("muted", _(_HINT), alignment=Qt.AlignmentFlag.AlignCenter)
         self.sweeps = SweepsPanel()
         self.statics = StaticsPanel()
-        self.detail = QStackedWidget()
-        for page in (self.hint, self.sweeps, self.statics):
-            self.detail.addWidget(page)
-        left = QWidget()
-        build.column((self.list, 1), self.why, margins=(0, 0, 6, 0), parent=left)
-        self.split = styled(QSplitter(Qt.Orientation.Horizontal), children_collapsible=False)
-        self.split.addWidget(left)
-        self.split.addWidget(self.detail)
-        self.split.setStretchFactor(0, 2)
-        self.split.setStretchFactor(1, 3)
-        self.split.setSizes([450, 600])
+        self.detail = build.stack(self.hint, self.sweeps, self.statics)
+        left = build.holder(build.column((self.list, 1), self.why, margins=(0, 0, 6, 0)))
+        self.split = build.splitter((left, 2), (self.detail, 3), sizes=(450, 600))
         if (state := context.settings.value(_SPLIT)) is not None:
             self.split.restoreState(state)
         build.column(
@@ -188,8 +180,7 @@ class CalibrationsTab(Tab):
     def load(self) -> None:
         """Read the folder."""
         work = functools.partial(read_stored, self.context.services.calibrations)
-        if self.page_job.start(_("Reading the calibrations…"), work, self._loaded, self.complain):
-            self.stale = False
+        self.read_files(_("Reading the calibrations…"), work)
 
     def _loaded(self, stored: tuple[Stored, ...]) -> None:
         self._stored, self.read = stored, True

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tissueid.app.calibration_state import calibration_state
-from tissueid.app.views.technician.events import Event, read_events
-from tissueid.app.views.technician.log_reading import LogPage, read_log
+from tissueid.app.views.technician.events import Event, LogPage, read_events, read_log
 from tissueid.app.words import sentence
 from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
 from tissueid.errors import CancelledError, TissueIDError

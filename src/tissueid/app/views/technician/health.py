@@ -138,8 +138,7 @@ class HealthTab(Tab):
         """Read the newest test and the calibrations."""
         services = self.context.services
         work = functools.partial(background, services.folder, services.calibrations, services.audit.path)
-        if self.page_job.start(_("Reading calibrations and the newest test…"), work, self._loaded, self.complain):
-            self.stale = False
+        self.read_files(_("Reading calibrations and the newest test…"), work)
 
     def _loaded(self, known: Background) -> None:
         self._known, self.read = known, True

@@ -134,14 +134,13 @@ class Tab(QWidget):
     def save_state(self) -> None:
         """Save the state of the tab to the settings."""
 
-    def begin(
-        self,
-        words: str,
-        work: Callable[[Callable[[], object]], object],
-        done: Callable[[object], None],
-    ) -> bool:
-        """Start a job whose error is shown as a notice."""
-        return self.page_job.start(words, work, done, self.complain)
+    def read_files(self, words: str, work: Callable[[Callable[[], object]], object]) -> None:
+        """Start reading, for :meth:`_loaded`; an error is shown as a notice."""
+        if self.page_job.start(words, work, self._loaded, self.complain):
+            self.stale = False
+
+    def _loaded(self, found: Any) -> None:
+        """Show what was read."""
 
     def complain(self, words: str) -> None:
         """Show an error; a cancelled job has an empty one."""

@@ -5,17 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QAbstractButton, QLabel, QTabWidget, QWidget
+from PySide6.QtGui import QShowEvent
+from PySide6.QtWidgets import QAbstractButton, QLabel, QWidget
 
 from tissueid.app import build
 from tissueid.app.build import button, column, styled, timer
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import PageJob
-from tissueid.app.views.technician.audit_table import AuditTab
 from tissueid.app.views.technician.calibrations import CalibrationsTab
-from tissueid.app.views.technician.faults import FaultsTab
 from tissueid.app.views.technician.health import HealthTab
+from tissueid.app.views.technician.log_tabs import AuditTab, FaultsTab, SearchedTab
 from tissueid.app.views.technician.tab import Tab
 from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
@@ -40,36 +39,19 @@ class InstrumentView(View):
         self.audit = AuditTab(context, self.page_job)
         self.all: tuple[Tab, ...] = (self.health, self.calibrations, self.faults, self.audit)
         self.doing = styled(QLabel(), role="muted", text_format=Qt.TextFormat.PlainText)
-        self.give_up = button(_("Cancel"), role="small", tip=_("Ends what is being read or asked"))
-        self.give_up.clicked.connect(self.page_job.cancel)
-        self.tabs = styled(QTabWidget(), document_mode=True)
-        self.tabs.tabBar().setDrawBase(False)
-        self.tabs.tabBar().setAccessibleName(_("Parts of the page Instrument"))
-        for tab, title in zip(self.all, _TITLES, strict=True):
-            self.tabs.addTab(tab, _(title))
-        self.tabs.setCornerWidget(self._make_corner(), Qt.Corner.TopRightCorner)
+        ending = _("Ends what is being read or asked")
+        self.give_up = button(_("Cancel"), self.page_job.cancel, role="small", tip=ending)
+        self.tabs = build.tabs(_("Parts of the page Instrument"), *zip(self.all, map(_, _TITLES), strict=True))
+        corner = build.row(self.doing, self.give_up, spacing=8, margins=(0, 0, 0, 2))
+        self.tabs.setCornerWidget(build.holder(corner), Qt.Corner.TopRightCorner)
         column(self.tabs, margins=(12, 8, 12, 10), parent=self)
         self.refresh_timer = timer(self, 0, self._bring_up_to_date)
-        self.tabs.setCurrentIndex(self._kept_tab())
+        build.restore_tab(self.tabs, context.settings.value(_TAB))
         self.tabs.currentChanged.connect(self._tab_changed)
         self.page_job.changed.connect(self._show_job)
-        self._keys()
+        build.shortcut(self, "F5", self._again)
+        build.shortcut(self, "Ctrl+F", self._search)
         self._show_job()
-
-    def _make_corner(self) -> QWidget:
-        corner = QWidget()
-        build.row(self.doing, self.give_up, spacing=8, margins=(0, 0, 0, 2), parent=corner)
-        return corner
-
-    def _kept_tab(self) -> int:
-        kept = str(self.context.settings.value(_TAB, "0"))
-        return int(kept) if kept in {str(number) for number in range(len(self.all))} else 0
-
-    def _keys(self) -> None:
-        for keys, slot in (("F5", self._again), ("Ctrl+F", self._search)):
-            shortcut = QShortcut(QKeySequence(keys), self)
-            shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-            shortcut.activated.connect(slot)
 
     def _again(self) -> None:
         """Handle F5: ask the instrument, or read the files of the tab again."""
@@ -82,7 +64,7 @@ class InstrumentView(View):
 
     def _search(self) -> None:
         tab = self.current
-        if isinstance(tab, FaultsTab | AuditTab):
+        if isinstance(tab, SearchedTab):
             tab.search.setFocus()
             tab.search.selectAll()
 
@@ -95,8 +77,7 @@ class InstrumentView(View):
 
     def enter(self) -> None:
         """Mark the tabs as stale: files may have changed."""
-        for tab in self.all:
-            tab.stale = True
+        self._mark_stale()
         self.health.show_chosen()
         self._judge_chosen()
         self.refresh_timer.start()
@@ -133,8 +114,7 @@ class InstrumentView(View):
     def on_instrument_answered(self, url: str, nominal: DeviceDescription) -> None:
         """Take a calibration that was just made for an answer of its instrument."""
         self._answered = url, nominal
-        for tab in self.all:
-            tab.stale = True
+        self._mark_stale()
         self._judge_chosen()
         self.refresh_timer.start()
 
@@ -152,6 +132,9 @@ class InstrumentView(View):
 
     def on_session_saved(self, path: Path) -> None:
         """Mark the tabs as stale: a test was measured."""
+        self._mark_stale()
+
+    def _mark_stale(self) -> None:
         for tab in self.all:
             tab.stale = True
 
