@@ -154,6 +154,7 @@ def test_what_cannot_be_diagnosed_is_refused_in_one_line(session, says, tmp_path
         (("--fit", "7"), "no test 7"),
         (("--fit", "one"), "test numbers separated by commas"),
         (("--check", "1"), "none is left to be fitted"),
+        (("--without", "dry_friction,no_such"), "there is no effect no_such"),
     ],
 )
 def test_options_that_cannot_be_followed(options, says, session_file: Path, capsys):

@@ -53,9 +53,22 @@ def test_only_the_candidates_take_part():
 
 
 def test_without_the_right_one_nothing_explains():
-    result = diagnose(observed("dry_friction", samples=SAMPLES), SerialExecutor(), candidates=("sensor_lag",))
-    assert result.verdict == "unexplained"
-    assert result.combination == ()
+    seen, both = observed("dry_friction", samples=SAMPLES), ("dry_friction", "sensor_lag")
+    result = diagnose(seen, SerialExecutor(), candidates=both, without=("dry_friction",))
+    assert (result.verdict, result.combination) == ("unexplained", ())
+    assert "gap.left_out" in {item.code for item in result.remarks}
+    assert as_answer(result)["without"] == ["dry_friction"]
+    assert [item["effect"] for item in as_answer(result)["ranking"]] == ["sensor_lag"]
+
+
+def test_after_the_time_limit_no_further_step_begins():
+    result = diagnose(
+        observed("dry_friction", samples=SAMPLES), SerialExecutor(), candidates=("sensor_lag",), seconds=1e-9
+    )
+    assert {"leading candidates", "additions", "detection limits"} <= set(result.not_tried)
+    assert [item.effect for item in result.ranking] == ["sensor_lag"]
+    assert as_answer(result)["not_tried"] == list(result.not_tried)
+    assert "gap.not_tried" in {item.code for item in result.remarks}
 
 
 def test_an_explanation_that_the_check_contradicts_is_not_named(monkeypatch):

@@ -28,7 +28,6 @@ def _few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     everything = shelf.all_effects()
     few = {name: everything[name] for name in FEW}
     monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: few)
-    monkeypatch.setattr("tissueid_lab.blind_check.answers.all_effects", lambda: few)
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -162,7 +161,7 @@ def test_a_check_against_a_twin_scores_new_effects(tmp_path: Path, capsys, monke
     kept, out = tmp_path / "kept", tmp_path / "score.json"
     searched: list[int] = []
 
-    def baseline_only(dataset, pool, *, known=(), candidates=None):  # type: ignore[no-untyped-def]
+    def baseline_only(dataset, pool, *, known=(), without=()):  # type: ignore[no-untyped-def]
         searched.append(len(dataset.priors))
         return diagnose(dataset, pool, known=known, candidates=())
 

@@ -95,6 +95,8 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
             "command_line": found.next_experiment.command_line,
         },
         "ceiling": found.ceiling,
+        "without": list(found.without),
+        "not_tried": list(found.not_tried),
         "remarks": [str(remark) for remark in found.remarks],
         "remark_messages": list(map(stored, found.remarks)),
         "statement": stored(headline_of(found)[0]),

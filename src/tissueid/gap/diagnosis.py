@@ -31,10 +31,10 @@ from tissueid.gap.fitting import residual_blocks
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
 from tissueid.gap.parameters import starts_of
-from tissueid.gap.search import Search, SearchProgress, SearchResult, SetSearch
+from tissueid.gap.search import STEPS, Search, SearchProgress, SearchResult, SetSearch
 from tissueid.gap.thresholds import THRESHOLDS
 from tissueid.gap.workers import Executor
-from tissueid.messages import Message
+from tissueid.messages import Listing, Message
 from tissueid.twin.catalogue import all_effects, effect
 from tissueid.twin.effect import Effect, Stage
 
@@ -97,6 +97,10 @@ class Diagnosis:
     """Size from which each effect that is not named would have been named; None where no size would have been."""
     grounds: Grounds | None = field(default=None, repr=False)
     """Grounds of the decision, by which it can be taken again with other thresholds."""
+    without: tuple[str, ...] = ()
+    """Effects that were left out on request."""
+    not_tried: tuple[str, ...] = ()
+    """Steps of the search that the time limit left out."""
 
     def __post_init__(self) -> None:
         if self.verdict == "no_gap":
@@ -123,6 +127,8 @@ def diagnose(
     *,
     known: Sequence[str] = (),
     candidates: Sequence[str] | None = None,
+    without: Sequence[str] = (),
+    seconds: float | None = None,
     progress: Callable[[SearchProgress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Diagnosis:
@@ -133,11 +139,13 @@ def diagnose(
         pool: the executor of the fits.
         known: effects that the baseline already includes.
         candidates: effects to consider; all applicable effects where None.
+        without: effects that are not tried.
+        seconds: time after which the search begins no further step; None without a limit.
         progress: callback for progress.
         cancelled: callback that returns True to stop with ``CancelledError``.
     """
     began = time.monotonic()
-    search = Search(dataset, pool, candidates, progress, cancelled)
+    search = Search(dataset, pool, candidates, progress, cancelled, without, seconds)
     baseline = search.baseline(known)
     dataset = baseline.fit.parameters.dataset
     there_is = is_gap(baseline.score)
@@ -149,9 +157,9 @@ def diagnose(
     grounds = _grounds(found, places)
     remarks = dataset.remarks
     if there_is:
-        names = decide(grounds)
-        verdict = "effect" if names else "unexplained"
-        best = next((item for item in found.candidates if names == set(item.added_to(baseline))), best)
+        chosen = decide(grounds)
+        verdict = "effect" if chosen else "unexplained"
+        best = next((item for item in found.candidates if chosen == set(item.added_to(baseline))), best)
     elif shows_in_the_check_alone(baseline):
         # Against a twin rare events do not count.
         verdict = "no_gap" if dataset.unmodelled else "unexplained"
@@ -164,13 +172,21 @@ def diagnose(
     ):
         verdict, remarks = "unexplained", (*remarks, NOT_CONFIRMED)
     named = best if verdict == "effect" else None
-    path, without = ((), {}) if named is None else removal_path(named, baseline.effects, search.remove_from)
-    jobs = [partial(_limits, search.names, baseline, best or baseline)]
+    path, smaller = ((), {}) if named is None else removal_path(named, baseline.effects, search.remove_from)
+    names = search.names if search.in_time("detection limits") else []
+    jobs = [partial(_limits, names, baseline, best or baseline)]
     if named is not None and score(named.checked_by) > THRESHOLDS.at_the_floor:
         jobs.append(partial(localise, dataset, named))
     limits, *remainder = _together(pool, jobs, cancelled)
     remains_in = next((item.stage for item in remainder if item.above_floor), None)
-    shares = None if named is None else budget(baseline, path, without, remains_in)
+    if search.not_tried:
+        steps = Listing(tuple(STEPS[what] for what in search.not_tried), "; ", "; ")
+        late = Message("gap.not_tried", "not done within {seconds:.0f} s: {steps}", seconds=seconds, steps=steps)
+        remarks = (*remarks, late)
+    if without:
+        effects = Listing(tuple(effect(name).title for name in without), "; ", "; ")
+        remarks = (*remarks, Message("gap.left_out", "effects that were not tried: {effects}", effects=effects))
+    shares = None if named is None else budget(baseline, path, smaller, remains_in)
     odds = {} if named is None else _conditional_odds(found, named, ranking, places)
     return Diagnosis(
         verdict,
@@ -189,6 +205,8 @@ def diagnose(
         shares,
         limits,
         grounds,
+        tuple(without),
+        tuple(search.not_tried),
     )
 
 

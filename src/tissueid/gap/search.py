@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, TypeVar
@@ -27,6 +29,7 @@ from tissueid.gap.machine_family import with_best_family
 from tissueid.gap.noise import rests, with_robust_noise
 from tissueid.gap.thresholds import LIMITS, THRESHOLDS
 from tissueid.gap.workers import Executor
+from tissueid.language import marked
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect, nested
@@ -64,8 +67,29 @@ Work = Literal[
     "removals",
     "replacements",
     "leading replacements",
+    "detection limits",
 ]
 """Steps of a search."""
+STEPS: Mapping[Work, str] = {
+    "baseline": marked("Fitting the baseline twin"),
+    "screening": marked("Screening all known effects"),
+    "likeliest candidates": marked("Fitting the likeliest effects"),
+    "candidates": marked("Fitting the other effects"),
+    "leading candidates": marked("Fitting the leading effects to the end"),
+    "further starting points": marked("Fitting from further starting points"),
+    "further candidates": marked("Fitting further effects to the end"),
+    "near relations": marked("Fitting near relations of what leads"),
+    "tissue": marked("Fitting the effects of living tissue together"),
+    "additions": marked("Fitting sets with one more effect"),
+    "leading additions": marked("Fitting the leading sets to the end"),
+    "removals": marked("Removing each effect in turn"),
+    "replacements": marked("Fitting other effects in place of each"),
+    "leading replacements": marked("Fitting the leading replacements to the end"),
+    "detection limits": marked("Computing the sizes from which effects would be named"),
+}
+"""Text of each step of the search."""
+_ALWAYS: frozenset[Work] = frozenset({"baseline", "screening", "likeliest candidates", "removals"})
+"""Steps that are made after the time limit as well: without them nothing could be named."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +151,8 @@ class Search:
         names: effects to try; all applicable effects of the library where None.
         progress: callback for progress.
         cancelled: callback that returns True to stop with ``CancelledError``.
+        without: effects that are not tried.
+        seconds: time after which no further step begins; None without a limit.
     """
 
     def __init__(
@@ -136,9 +162,15 @@ class Search:
         names: Sequence[str] | None = None,
         progress: Callable[[SearchProgress], None] = lambda _: None,
         cancelled: Callable[[], bool] = lambda: False,
+        without: Sequence[str] = (),
+        seconds: float | None = None,
     ) -> None:
+        self.not_tried: list[Work] = []
+        """Steps that the time limit left out."""
+        self._deadline = math.inf if seconds is None else time.monotonic() + seconds
         self._dataset = dataset
         self._pool = pool
+        self._without = without
         self._wanted = names
         several = sum(bool(test.serving(Purpose.FIT).any()) for test in dataset.tests) > 1
         self._short_steps = LIMITS.short_steps_of_many if several else LIMITS.short_steps
@@ -183,6 +215,7 @@ class Search:
             name
             for name, item in effects_of(self._dataset).items()
             if (self._wanted is None or name in self._wanted)
+            and name not in self._without
             and applicable(self._dataset, item)
             and not (still and item.at_rest)
         ]
@@ -262,7 +295,7 @@ class Search:
         if near.effects == self._known:
             self._from_baseline.add(frozenset(names))
         tasks = self._from_weak_starts(near, names)[: LIMITS.beam]
-        return (min(self._run_tasks("tissue", refit, tasks), key=_fitted_cost),)
+        return tuple(sorted(self._run_tasks("tissue", refit, tasks), key=_fitted_cost)[:1])
 
     def tissue_set_again(self, near: Candidate, found: Candidate) -> Candidate:
         """Fit a set that ``tissue_set`` found near a candidate from the other weak starts too, where its fits lowered
@@ -336,7 +369,7 @@ class Search:
         the least gain of a needed member, no other start can change what is named.
         """
         best = found
-        if found.score > THRESHOLDS.set_gain:
+        if found.score > THRESHOLDS.set_gain and self.in_time("replacements"):
             done = frozenset(found.effects) in self._from_baseline
             tasks = [] if done else self._from_weak_starts(baseline, found.effects)
             best = self._restarted(
@@ -378,6 +411,8 @@ class Search:
 
     def _with_partner(self, what: Work, near: Candidate, excluded: Sequence[str] = ()) -> list[Candidate]:
         # Short fits of a set with another effect. Its alignment changes when another effect is in the model.
+        if not self.in_time(what):
+            return []
         likely = best_aligned(self._screened(near.fit), most_starts=1)
         tried = [item for item in likely if item.effect not in excluded][: LIMITS.starts]
         trials = self._short_fits(what, near, tried, LIMITS.trial_steps)
@@ -416,7 +451,7 @@ class Search:
             # A narrow minimum is reached in many steps, and a short fit towards it can leave more than others.
             going_on += short_fits[:1]
         going_on = [item for item in going_on if item.fit.steps >= self._short_steps]
-        finished = self._run_tasks(what, refit, self._continued(going_on, most_steps))
+        finished = self._run_tasks(what, refit, self._continued(going_on, most_steps)) or going_on
         others = [item for item in ranked if all(item is not other for other in going_on)]
         return tuple(sorted((*finished, *others), key=lambda item: item.score))
 
@@ -427,8 +462,16 @@ class Search:
         found = self._run_tasks("screening", partial(screen, near), parts)
         return [item for items in found for item in items]
 
+    def in_time(self, what: Work) -> bool:
+        """Return whether a step may begin; ``not_tried`` keeps those that may not."""
+        if what in _ALWAYS or time.monotonic() < self._deadline:
+            return True
+        self.not_tried += [what] if what not in self.not_tried else []
+        return False
+
     def _run_tasks(self, what: Work, work: Callable[[T], R], things: Sequence[T]) -> list[R]:
-        if not things:
+        # Without results where there is nothing to do, or no time for it.
+        if not things or not self.in_time(what):
             return []
         count = 0
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tissueid.gap import Diagnosis, diagnose, executor, prepare
+from tissueid.gap.search import STEPS
 from tissueid.gap.twin_export import NamedEffects, against_twin, named_effects
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin
 from tissueid.language import marked
@@ -15,27 +16,11 @@ from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.procedures.output_files import HTML, check_different, check_output, check_report, write_text
 from tissueid.sessions import Session, read_session
+from tissueid.twin.catalogue import effect
 
 if TYPE_CHECKING:
     from tissueid.gap.search import SearchProgress, Work
 
-STEPS: Mapping[Work, str] = {
-    "baseline": marked("Fitting the baseline twin"),
-    "screening": marked("Screening all known effects"),
-    "likeliest candidates": marked("Fitting the likeliest effects"),
-    "candidates": marked("Fitting the other effects"),
-    "leading candidates": marked("Fitting the leading effects to the end"),
-    "further starting points": marked("Fitting from further starting points"),
-    "further candidates": marked("Fitting further effects to the end"),
-    "near relations": marked("Fitting near relations of what leads"),
-    "tissue": marked("Fitting the effects of living tissue together"),
-    "additions": marked("Fitting sets with one more effect"),
-    "leading additions": marked("Fitting the leading sets to the end"),
-    "removals": marked("Removing each effect in turn"),
-    "replacements": marked("Fitting other effects in place of each"),
-    "leading replacements": marked("Fitting the leading replacements to the end"),
-}
-"""Text of each step of the search."""
 SHARES: Mapping[Work, tuple[float, float]] = {
     "baseline": (0.0, 0.05),
     "screening": (0.05, 0.4),
@@ -82,20 +67,30 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
     """Diagnose a session and write the report if one is named. Whether a twin can be saved is checked before.
 
     Raises:
-        UnusableInputError: the session, the twin, a test number or a file cannot be used.
+        UnusableInputError: the session, the twin, a test number, an effect or a file cannot be used.
         CancelledError: the diagnosis was cancelled; nothing was written.
     """
     check_output(plan.report, HTML)
     check_different(plan.report, plan.twin_out)
     if plan.twin_out is not None:
         check_twin_writable(plan.twin_out)
+    for name in plan.without:
+        effect(name)
     control.progress(None, _READING)
     twin = None if plan.twin is None else read_twin(plan.twin)
     session = read_session(plan.session)
     check_report(plan.report, session)
     dataset, known = against_twin(prepare(session, plan.fit, plan.check), twin)
     with executor(plan.workers) as pool:
-        found = diagnose(dataset, pool, known=known, progress=SearchDisplay(control), cancelled=control.check)
+        found = diagnose(
+            dataset,
+            pool,
+            known=known,
+            without=plan.without,
+            seconds=plan.seconds,
+            progress=SearchDisplay(control),
+            cancelled=control.check,
+        )
     diagnosed = DiagnosedSession(plan, session, twin, found)
     if plan.report is not None:
         write_text(plan.report, diagnosed.report_html)

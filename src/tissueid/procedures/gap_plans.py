@@ -59,6 +59,14 @@ class GapPlan(Plan):
 class DiagnosisPlan(GapPlan):
     """A diagnosis and its files."""
 
+    without: Annotated[
+        tuple[str, ...], Option("--without", metavar="NAME,...", help="effects that are not tried", separator=",")
+    ] = ()
+    seconds: Annotated[
+        float | None,
+        Option("--seconds", metavar="S", help="time after which the search begins no further step; default: no limit"),
+        Field(gt=0.0),
+    ] = None
     report: Annotated[Path | None, Option("--out", metavar="PAGE", help="write the report, one HTML page")] = None
     twin_out: Annotated[Path | None, Option("--twin-out", metavar="FILE", help="save the resulting twin")] = None
 

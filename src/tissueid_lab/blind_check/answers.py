@@ -25,7 +25,6 @@ from tissueid.gap.twin_export import against_twin, named_effects, twin_file_of
 from tissueid.gap.workers import Executor, SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin, write_twin
 from tissueid.sessions import Session
-from tissueid.twin.catalogue import all_effects
 from tissueid.version import __version__
 from tissueid_lab.blind_check.scenarios import alone_sessions, earlier_session, read_scenario
 from tissueid_lab.blind_check.scoring import Answered, Label, Score, survives
@@ -122,10 +121,9 @@ class BlindScenario:
         the twin of the earlier session, where there is one. ``grounds`` are those of the decision.
         """
         dataset = prepare(read_scenario(self.folder, self.name))
-        names = [name for name in all_effects() if name not in self.without] if self.without else None
         earlier = earlier_session(self.folder, self.name)
         dataset, known = against_twin(dataset, None if earlier is None else accepted_twin(self.folder, earlier))
-        found = diagnose(dataset, SerialExecutor(), known=known, candidates=names)
+        found = diagnose(dataset, SerialExecutor(), known=known, without=self.without)
         singles = found.found.singles
         greedy = min(singles, key=lambda item: item.fit.cost, default=None)
         return as_answer(found) | {
