@@ -41,9 +41,9 @@ from screenshot_sessions import (
     write_calibrations,
 )
 
+from tissueid.app.context import AppServices
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
-from tissueid.app.services import AppServices
 from tissueid.app.stimulus_form import FROM_FILE, MULTISTEP
 from tissueid.app.views.gap.view import GapView
 from tissueid.app.views.researcher.view import ResearchView

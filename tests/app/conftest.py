@@ -14,9 +14,9 @@ from app.benches import WAIT_MS, Bench, Clock, found
 from app.fitted import analyse_once
 from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 
+from tissueid.app.context import AppServices
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
-from tissueid.app.services import AppServices
 from tissueid.app.theme import LIGHT, appearance
 from tissueid.calibration.active import activate_calibration
 from tissueid.instrument import SimulatedInstrument

@@ -11,8 +11,9 @@ from support import connect
 
 from firmware_sim.identity import Identity
 from tissueid.app import emergency
+from tissueid.app.calibration_controller import OperatorPrompts
+from tissueid.app.calibration_page import CalibrationOutcome
 from tissueid.app.emergency import BY_BUTTON, EmergencyStop
-from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.calibration import CalibratedQuantity, Calibration, plans, read_calibration

@@ -8,7 +8,7 @@ from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QAbstractSpinBox
 
 from tissueid.app.theme import DARK
-from tissueid.app.views.start.rows import Rows
+from tissueid.app.views.start.view import Rows
 from tissueid.instrument import FoundInstrument
 from tissueid.language import set_language
 

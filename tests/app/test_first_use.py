@@ -17,9 +17,9 @@ from tissueid.acquisition import journal_path
 from tissueid.acquisition.surface_detection import Contact
 from tissueid.app.emergency import NO_ANSWER
 from tissueid.app.jobs import Jobs
+from tissueid.app.live_signals import Safety
 from tissueid.app.plotting import PlotCard
 from tissueid.app.readouts import SafetyReadouts
-from tissueid.app.safety import Safety
 from tissueid.app.user_files import check_save_path
 from tissueid.app.widgets import ElidedLabel, show_disabled_reason
 from tissueid.app.words import outcome_text, sentence

@@ -32,13 +32,13 @@ from PySide6.QtWidgets import (
 from support import connect
 
 from firmware_sim.identity import Identity
+from tissueid.app.calibration_page import CalibrationOutcome
+from tissueid.app.context import AppServices
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.import_dialog import ImportDialog, preview_of
 from tissueid.app.layout import SMALLEST
 from tissueid.app.main_window import MainWindow
 from tissueid.app.notice import Notice
-from tissueid.app.operator_prompts import CalibrationOutcome
-from tissueid.app.services import AppServices
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.app.widgets import ElidedLabel

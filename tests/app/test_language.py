@@ -13,8 +13,8 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel
 
 from tissueid import language
 from tissueid.app.panels import FOLDER
-from tissueid.app.preferences import chosen
 from tissueid.app.views.start.view import WHAT_ROLES_DO
+from tissueid.app.window_state import chosen
 from tissueid.formatting import fixed, number, plus_minus
 from tissueid.language import _, plural, set_language
 from tissueid.messages import Message, Verbatim, translated

@@ -6,7 +6,7 @@ from support import connect
 
 from firmware_sim.identity import Identity
 from tissueid.acquisition import SessionRecorder
-from tissueid.app.operator_prompts import LiveCalibration
+from tissueid.app.calibration_controller import LiveCalibration
 from tissueid.calibration import StaticPlan, calibrate_static
 from tissueid.calibration.plans import SweepPlan
 from tissueid.calibration.sweep import Sweep

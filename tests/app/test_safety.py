@@ -14,9 +14,9 @@ from PySide6.QtCore import Qt
 
 from tissueid.acquisition.quality import Quality, QualityFinding
 from tissueid.app.calibration_state import UNKNOWN, calibration_state
+from tissueid.app.live_signals import LinearRange, Safety, SafetyWatch, linear_region
 from tissueid.app.quality_gate import MOST_SHOWN, UNJUDGED, QualityGatePanel
 from tissueid.app.readouts import KEYS_LOST, KEYS_REACH, SafetyReadouts
-from tissueid.app.safety import LinearRange, Safety, SafetyWatch, linear_region
 from tissueid.app.signals import LINEAR, OUTSIDE
 from tissueid.calibration import CalibratedQuantity, Calibration, write_calibration
 from tissueid.device import DeviceDescription

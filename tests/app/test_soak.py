@@ -13,8 +13,8 @@ from app.benches import WAIT_MS, found
 from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 from PySide6.QtWidgets import QApplication
 
+from tissueid.app.context import AppServices
 from tissueid.app.main_window import MainWindow
-from tissueid.app.services import AppServices
 from tissueid.app.theme import DARK, LIGHT, appearance
 from tissueid.audit import AuditLog
 

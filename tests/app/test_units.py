@@ -15,9 +15,8 @@ from tissueid import units
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.plotting import PlotCard
-from tissueid.app.views.clinician.comparing import Sighting, SittingComparison
-from tissueid.app.views.clinician.comparison_card import ComparisonCard
-from tissueid.app.views.clinician.repeat_bar import SittingSummary
+from tissueid.app.result import SittingSummary
+from tissueid.app.views.clinician.comparing import ComparisonCard, Sighting, SittingComparison
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, standing
 from tissueid.app.views.gap.result_tabs import CandidatesTab
 from tissueid.app.views.researcher.plot_stack import Channel, LoadedTest, RecordedSignal, SpectrumCard

@@ -9,10 +9,9 @@ from procedures.same_session import assert_same_session
 from support import LONG_TICK_S, connect_scenario
 
 from firmware_sim.scenario import Scenario
-from tissueid.app.calibration_controller import calibrate
+from tissueid.app.calibration_controller import LiveCalibration, OperatorPrompts, calibrate
+from tissueid.app.context import AppServices
 from tissueid.app.emergency import BY_BUTTON, EmergencyStop
-from tissueid.app.operator_prompts import LiveCalibration, OperatorPrompts
-from tissueid.app.services import AppServices
 from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.calibration import read_calibration, spring_points
 from tissueid.cli import main

@@ -9,7 +9,7 @@ from app.fitted import analyse_once
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid import analysis
-from tissueid.app.report_opener import write_paper
+from tissueid.app.clinician import write_paper
 from tissueid.app.session_jobs import find
 from tissueid.app.views.clinician.comparing import SittingComparison
 from tissueid.cli import main

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from pathlib import Path
+
 import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
@@ -17,19 +20,50 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app import build
-from tissueid.app.calibration_state import figure_of
+from tissueid.app.calibration_state import CalibrationState, figure_of
 from tissueid.app.live_signals import Array
 from tissueid.app.number_field import NumberField
-from tissueid.app.operator_prompts import CalibrationOutcome, PromptState
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.widgets import BigButton
 from tissueid.app.words import sentence
-from tissueid.calibration.file import CalibratedQuantity
+from tissueid.calibration.file import CalibratedQuantity, Calibration
 from tissueid.calibration.labels import headline_of, problems_of
+from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
 from tissueid.messages import translated
 from tissueid.procedures.calibration_plans import Kind
+
+
+@dataclass(frozen=True)
+class CalibrationOutcome:
+    """The result. ``remarks`` are further messages, ``state`` is the new state of the instrument's calibration.
+
+    ``nominal`` is the instrument as it answered, without a calibration.
+
+    ``report`` is None if it could not be written; the calibration is valid without it.
+    """
+
+    calibration: Calibration
+    path: Path
+    report: Path | None
+    remarks: tuple[str, ...]
+    state: CalibrationState = field(default_factory=CalibrationState)
+    nominal: DeviceDescription | None = None
+
+
+@dataclass(frozen=True)
+class PromptState:
+    """State of a running calibration: its step, the fraction done, and the instruction to the person.
+
+    With ``answer`` the person has to confirm that it is done; otherwise the instrument detects it.
+    """
+
+    step: str = ""
+    fraction: float = 0.0
+    instruction: str = ""
+    answer: bool = False
+
 
 _KINDS: dict[Kind, tuple[str, str, str]] = {
     "static": (

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tissueid.reports.verdict import Verdict
     from tissueid.sessions.accepted_result import AcceptedResult
 
+
 LONGEST = 80
 """Maximum number of shown characters of a site or pseudonym."""
 

@@ -34,11 +34,11 @@ from tissueid.app.panels import HelpPanel
 from tissueid.app.quality_gate import QualityGatePanel
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.result import ResultPage
-from tissueid.app.roles import RoleChooser
 from tissueid.app.signals import SignalPlots
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.views.clinician.study_card import StudyCard
 from tissueid.app.widgets import BigButton
+from tissueid.app.window_state import RoleChooser
 from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
 from tissueid.language import _

@@ -17,29 +17,35 @@ from tissueid.acquisition.playback import Phase
 from tissueid.app import build
 from tissueid.app.calibration_controller import CalibrationController
 from tissueid.app.calibration_state import calibration_state
-from tissueid.app.clinician import Clinician
+from tissueid.app.clinician import Clinician, Reports
 from tissueid.app.command_palette import CommandPalette, PaletteEntry, declare, install_shortcuts
-from tissueid.app.context import AppContext
+from tissueid.app.context import AppContext, AppServices
 from tissueid.app.device_search import DeviceSearch
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, DeliberatePress, EmergencyStop
-from tissueid.app.file_drops import FileDrops, dropped_paths
 from tissueid.app.findings import Findings, whose
 from tissueid.app.jobs import Jobs
 from tissueid.app.layout import Layout
 from tissueid.app.live_signals import LiveSignals
 from tissueid.app.navigation_bar import MEASURE
-from tissueid.app.pages import Pages
+from tissueid.app.pages import FileDrops, Pages, dropped_paths
 from tissueid.app.panels import Panels
-from tissueid.app.preferences import chosen, chosen_theme, show_everywhere, take_kept, text_scale
 from tissueid.app.readouts import NO_TEST, StopKeys
-from tissueid.app.report_opener import Reports
-from tissueid.app.services import AppServices
 from tissueid.app.session_jobs import find, judge_and_analyse, open_test
 from tissueid.app.study_sitting import StudySitting
 from tissueid.app.theme import PaletteWatch, appearance, palette_of, style_sheet
 from tissueid.app.user_files import check_save_path
 from tissueid.app.widgets import show_disabled_reason
-from tissueid.app.window_state import restore_window_state, save_role, save_window_state, saved_role
+from tissueid.app.window_state import (
+    chosen,
+    chosen_theme,
+    restore_window_state,
+    save_role,
+    save_window_state,
+    saved_role,
+    show_everywhere,
+    take_kept,
+    text_scale,
+)
 from tissueid.app.words import in_words, outcome_text, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role

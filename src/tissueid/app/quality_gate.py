@@ -1,25 +1,150 @@
-"""The quality gate after a test: traffic light, findings, advice, and a button to run the test again."""
+"""The quality gate after a test: traffic light, findings, advice, and the repeats of the sitting."""
 
 from __future__ import annotations
 
+import html
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent
-from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QFrame,
+    QGridLayout,
+    QLabel,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.clinician.repeat_bar import RepeatBar
-from tissueid.app.views.clinician.sitting import Sitting
+from tissueid.app.theme import appearance
+from tissueid.app.views.clinician.sitting import NORM, Sitting
 from tissueid.app.widgets import show_level
 from tissueid.audit import Role
 from tissueid.language import _, marked
-from tissueid.messages import sentences, translated
+from tissueid.messages import Message, sentences, translated
 from tissueid.sessions.quality import Quality, QualityFinding, Verdict
 
 if TYPE_CHECKING:
     from tissueid.reports import verdict as report
+
+
+_COLOURS = {"good": "good", "look": "amber", "repeat": "poor", None: "muted"}
+_WORDS = {
+    "good": marked("good"),
+    "look": marked("to be looked at"),
+    "repeat": marked("not counted"),
+    None: marked("not judged"),
+}
+_FINISH_ONE = Message("sitting.finish", "Finish: use this test")
+
+
+def _again(number: int, count: int) -> str:
+    return translated(
+        Message("sitting.measure_again", "Start test again ({number} of {count})", number=number, count=count)
+    )
+
+
+def _finish(sitting: Sitting) -> str:
+    """What the button accepts: the only test, one of several by its place, or the mean of those that count."""
+    places = sitting.places
+    if len(places) == 1:
+        return (
+            translated(_FINISH_ONE)
+            if len(sitting.repeats) == 1
+            else translated(Message("sitting.finish_test", "Finish: use test {place}", place=places[0]))
+        )
+    if len(places) == len(sitting.repeats):
+        return translated(Message("sitting.finish_mean", "Finish: mean of {count}", count=len(places)))
+    return translated(
+        Message("sitting.finish_tests", "Finish: mean of tests {places}", places=", ".join(map(str, places)))
+    )
+
+
+class RepeatBar(QWidget):
+    """Hidden where there is no sitting. ``again``, ``accepted`` and ``undone`` are sent by its buttons."""
+
+    again = Signal()
+    accepted = Signal()
+    undone = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.allowed = True
+        """Whether the next test repeats the shown one: not where form or protocol say something else."""
+        self._fits = False
+        self._shown: tuple[str | None, ...] = ()
+        self._left = 0
+        self.dots = styled(QLabel(), text_format=Qt.TextFormat.RichText)
+        again = Message(
+            "sitting.repeat_tip",
+            "The same test once more, into a file of its own. Five are usual: their mean is steadier than one test",
+        )
+        finish = Message(
+            "sitting.finish_tip",
+            "Enough was measured here: the mean of the tests that count is the result, and the next test begins a new "
+            "sitting. No file is changed or deleted",
+        )
+        undo = _("Continue the sitting as if it had not been finished. Possible until the next test starts")
+        self.repeat = button(_again(2, NORM), self.again, tip=translated(again))
+        self.accept = button(translated(_FINISH_ONE), self.accepted, tip=translated(finish))
+        self.undo = button(_("Undo Finish"), self.undone, tip=undo)
+        fill(FoldingBox(0, self), self.dots, self.repeat, self.accept, self.undo, spacing=8)
+        appearance.changed.connect(self._draw)
+        self.hide()
+
+    def show_sitting(self, sitting: Sitting | None) -> None:
+        """Show the progress of a sitting; None hides the bar."""
+        self.setVisible(sitting is not None and bool(sitting.repeats))
+        if sitting is None:
+            return
+        self._shown = tuple(repeat.verdict if repeat.counts else "repeat" for repeat in sitting.repeats)
+        self._left = max(0, sitting.wanted - sitting.counted)
+        newest = bool(sitting.repeats) and sitting.repeats[-1].counts
+        self.repeat.setText(_again(sitting.counted + 1, sitting.wanted))
+        self._fits = newest and self._left > 0 and not sitting.accepted
+        self.allow_repeat(self.allowed)
+        self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
+        self.accept.setText(_finish(sitting))
+        self.undo.setVisible(sitting.accepted)
+        said = ", ".join(f"{place} {_(_WORDS[verdict])}" for place, verdict in enumerate(self._shown, 1))
+        done = {"done": sitting.counted, "count": sitting.wanted}
+        if sitting.accepted:
+            count = translated(Message("sitting.repeats_finished", "{done} of {count} repeats, finished", **done))
+        else:
+            count = translated(Message("sitting.repeats", "{done} of {count} repeats", **done))
+        styled(
+            self.dots,
+            name=f"{count}: {said}",
+            tip=_("{count}. Green: good. Yellow: to be looked at. Red: not counted. Ring: to come.").format(
+                count=count
+            ),
+        )
+        self._draw()
+
+    def allow_repeat(self, allowed: bool) -> None:
+        """Offer the next repeat, if there is one to come, or not."""
+        self.allowed = allowed
+        self.repeat.setVisible(self._fits and allowed)
+
+    @property
+    def offers_repeat(self) -> bool:
+        """Whether the bar offers a button that measures again."""
+        return not self.isHidden() and not self.repeat.isHidden()
+
+    def update_enabled(self, *, busy: bool) -> None:
+        """Disable the buttons while a job runs."""
+        self.repeat.setEnabled(not busy)
+        self.accept.setEnabled(not busy)
+        self.undo.setEnabled(not busy)
+
+    def _draw(self) -> None:
+        colours: Sequence[str] = [getattr(appearance.theme, _COLOURS.get(verdict, "muted")) for verdict in self._shown]
+        dots = [f'{place}<span style="color:{html.escape(colour)}">●</span>' for place, colour in enumerate(colours, 1)]
+        dots += [f'<span style="color:{appearance.theme.muted}">○</span>'] * self._left
+        self.dots.setText(" ".join(dots))
+
 
 _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
 _ONE_ROW = 640

@@ -7,7 +7,7 @@ from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
 
 from tissueid.app import build
-from tissueid.app.safety import Safety
+from tissueid.app.live_signals import Safety
 from tissueid.formatting import fixed
 from tissueid.language import _
 from tissueid.messages import MISSING, Message, translated

@@ -23,18 +23,18 @@ from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.findings import Findings, Number, whose
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.clinician.comparison_card import ComparisonCard
-from tissueid.app.views.clinician.repeat_bar import SittingSummary
-from tissueid.app.views.clinician.sitting import Standing
+from tissueid.app.views.clinician.comparing import ComparisonCard
+from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
 from tissueid.app.widgets import ElidedLabel, show_level
 from tissueid.audit import Role
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import local_time, value_and_rest, zone_offset
 from tissueid.language import _, marked
-from tissueid.messages import Message, code_of, translated
+from tissueid.messages import MISSING, Message, code_of, translated
 from tissueid.records import Estimate
 from tissueid.sessions import Test
 from tissueid.sessions.model import DATE_NOTE
+from tissueid.units import shown_si
 
 _TILES = 5
 _ROOM_FOR_TILES = 720
@@ -331,3 +331,76 @@ class _Tile(QFrame):
         self.rest.setText(rest)
         said = f"{number.label}: {value} {rest}, {number.note}. {self._change.text()}"
         self.setAccessibleName(said.strip())
+
+
+_EXPLAINED = marked(
+    "Deviation: of one test about the mean of the repeats. Two tests of the same site differ by less than the last "
+    "column in 95 % of cases: √2 · t deviations, t of Student for as many repeats."
+)
+_ONE_LINE = 600
+"""Width below which the heads of the columns wrap, pixels."""
+
+
+class SittingSummary(QFrame):
+    """Hidden until two repeats count or a result is accepted."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        styled(self, role="card", tip=_(_EXPLAINED))
+        self._standing: Standing | None = None
+        self.heading, self.about = styled(QLabel(), role="headline"), label("muted")
+        self._heads: list[QLabel] = []
+        grid = QGridLayout()
+        styled(grid, horizontal_spacing=22, vertical_spacing=2)
+        for column, head in enumerate(HEADS):
+            named = styled(QLabel(_(head)), role="field", minimum_width=1)
+            self._heads.append(named)
+            grid.addWidget(named, 0, column)
+        self.cells: dict[str, list[QLabel]] = {}
+        for place, quantity in enumerate(QUANTITIES, 1):
+            cells = [QLabel() for _head in HEADS]
+            cells[1].setStyleSheet("font-weight: 600;")
+            for column, cell in enumerate(cells):
+                cell.setTextFormat(Qt.TextFormat.PlainText)
+                grid.addWidget(cell, place, column)
+            self.cells[quantity] = cells
+        grid.setColumnStretch(len(HEADS), 1)
+        fill(QVBoxLayout(self), self.heading, grid, self.about, spacing=3, margins=(12, 6, 12, 8))
+        self.hide()
+
+    def show_standing(self, standing: Standing | None) -> None:
+        """Show what stands as the result; None hides it."""
+        self._standing = standing
+        self.setVisible(standing is not None)
+        if standing is None:
+            return
+        rows = standing.rows(shown_si)
+        repeated = any(value.count > 1 for value in standing.values.values())
+        self.heading.setText(standing.heading)
+        self.about.setText("\n".join(filter(None, [standing.tests, standing.remark])))
+        self.about.setVisible(bool(self.about.text()))
+        for column, head in enumerate(self._heads):
+            head.setText(_(HEADS[column] if repeated or column != 1 else VALUE_HEAD))
+            head.setVisible(bool(rows) and (repeated or column < 2))
+        for quantity, cells in self.cells.items():
+            texts = rows.get(quantity, ("", "", "", ""))
+            for column, (cell, text) in enumerate(zip(cells, texts, strict=True)):
+                cell.setText(_(text) if repeated or column < 2 else "")
+                cell.setVisible(bool(cell.text()))
+        said = "; ".join(
+            f"{_(name)} {mean}"
+            if limit == MISSING
+            else _("{name} {mean}, repeatability {repeatability}").format(name=_(name), mean=mean, repeatability=limit)
+            for name, mean, _relative, limit in rows.values()
+        )
+        self.setAccessibleName(" ".join(filter(None, [f"{standing.heading}: {said}", self.about.text()])))
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Wrap the column headers where they do not fit next to each other."""
+        super().resizeEvent(event)
+        for head in self._heads:
+            head.setWordWrap(event.size().width() < _ONE_LINE)
+
+    def take_units(self) -> None:
+        """Show it in the units in force."""
+        self.show_standing(self._standing)

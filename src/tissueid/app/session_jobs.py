@@ -6,12 +6,16 @@ import contextlib
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tissueid.app.findings import Findings
 from tissueid.errors import TissueIDError
 from tissueid.sessions import Session, read_outline, read_session
 from tissueid.sessions.accepted_result import MOST_TESTS, sitting_of
 from tissueid.sessions.quality import quality_of
+
+if TYPE_CHECKING:
+    pass
 
 
 def find(path: Path, session: Session | None = None, number: int | None = None) -> Findings:

@@ -9,9 +9,8 @@ from PySide6.QtWidgets import QWidget
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.surface_detection import PLACE_S
 from tissueid.app import build
-from tissueid.app.live_signals import Array, Snapshot, decimated
+from tissueid.app.live_signals import Array, LinearRange, Snapshot, decimated, linear_region
 from tissueid.app.plotting import PlotCard
-from tissueid.app.safety import LinearRange, linear_region
 from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
 from tissueid.language import _, marked

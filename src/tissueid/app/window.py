@@ -18,8 +18,7 @@ from PySide6.QtWidgets import QApplication
 
 from tissueid.app import build
 from tissueid.app.main_window import MainWindow
-from tissueid.app.preferences import qt_texts
-from tissueid.app.window_state import show_window
+from tissueid.app.window_state import qt_texts, show_window
 from tissueid.errors import TissueIDError
 
 _HOUSEKEEPING_MS = 500

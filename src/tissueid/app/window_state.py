@@ -1,17 +1,24 @@
-"""The state of the window between two starts: everything except subject and site."""
+"""What the window keeps between two starts: its state, and role, language, units, appearance and text size."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
-from PySide6.QtCore import QByteArray, QSettings
-from PySide6.QtWidgets import QMainWindow, QWidget
+from PySide6.QtCore import QByteArray, QLibraryInfo, QLocale, QSettings, QSize, Qt, QTranslator, Signal
+from PySide6.QtGui import QPalette, QResizeEvent
+from PySide6.QtWidgets import QComboBox, QLabel, QMainWindow, QSizePolicy, QVBoxLayout, QWidget
 
+from tissueid.app import build
 from tissueid.app.form import PlanForm
+from tissueid.app.theme import DARK, LIGHT, Theme, theme_of
+from tissueid.app.widgets import BigButton, labelled_row
 from tissueid.audit import ROLES, Role
 from tissueid.formatting import clean
+from tissueid.language import ENGLISH, _, current_language, languages, marked
+from tissueid.units import SYSTEMS, System, in_force, use
 
 _GEOMETRY = "window/geometry"
 _MAXIMISED = "window/maximised"
@@ -124,3 +131,193 @@ def keep_visited_study(settings: QSettings, folder: Path) -> None:
     """Keep the folder of a study in which a subject is measured."""
     others = [path for path in visited_studies(settings) if path != folder]
     save_texts(settings, _STUDIES, [str(path) for path in (folder, *others)][:_MOST_STUDIES])
+
+
+LANGUAGE_SETTING = "language"
+"""Under which the choice is kept."""
+
+
+def chosen(wanted: str, settings: QSettings) -> str:
+    """The code of the language to speak: the one wanted, else the kept one, else the system's, else English."""
+    kept = settings.value(LANGUAGE_SETTING, "")
+    for code in (wanted, kept if isinstance(kept, str) else ""):
+        if code:
+            return code if code in languages() else ENGLISH
+    code = QLocale.system().name().partition("_")[0]
+    return code if code in languages() else ENGLISH
+
+
+def qt_texts() -> QTranslator:
+    """What Qt itself says in dialogs and menus, in the language of the window; empty where it has none."""
+    translator = QTranslator()
+    if current_language() != ENGLISH:
+        translator.load(f"qtbase_{current_language()}", QLibraryInfo.path(QLibraryInfo.LibraryPath.TranslationsPath))
+    return translator
+
+
+@runtime_checkable
+class FollowsUnits(Protocol):
+    """A widget that shows figures."""
+
+    def take_units(self) -> None:
+        """Show the figures again in the active units."""
+
+
+UNITS_SETTING = "units"
+"""Under which the choice is kept."""
+
+
+def take_kept(settings: QSettings) -> None:
+    """Put the units of last time in force; whatever else stands there means clinical ones."""
+    use(settings.value(UNITS_SETTING, ""))
+
+
+def show_everywhere(window: QWidget) -> None:
+    """Let everything in a window show its figures in the units in force."""
+    for widget in window.findChildren(QWidget):
+        if isinstance(widget, FollowsUnits):
+            widget.take_units()
+
+
+NAMES: dict[System, str] = {"clinical": marked("Clinical (mm, g)"), "si": marked("SI (m, kg)")}
+APPEARANCE_SETTING, TEXT_SIZE_SETTING = "appearance", "text_size"
+APPEARANCES = {"": marked("As the system"), "light": marked("Light"), "dark": marked("Dark")}
+TEXT_SIZES = {"100": marked("Normal"), "115": marked("Large"), "130": marked("Larger")}
+
+
+def chosen_theme(settings: QSettings, palette: QPalette) -> Theme:
+    """Return the theme that was chosen, else that of the system's palette."""
+    return {"light": LIGHT, "dark": DARK}.get(str(settings.value(APPEARANCE_SETTING, ""))) or theme_of(palette)
+
+
+def text_scale(settings: QSettings) -> float:
+    """Return how much larger than usual texts are."""
+    kept = str(settings.value(TEXT_SIZE_SETTING, ""))
+    return float(kept) / 100.0 if kept in TEXT_SIZES else 1.0
+
+
+class Chooser(QWidget):
+    """A small chooser that keeps what is chosen in the settings; ``chosen`` is sent for a new choice."""
+
+    chosen = Signal()
+
+    def __init__(self, settings: QSettings, key: str, name: str, entries: Mapping[str, str], now: str) -> None:
+        super().__init__()
+        self._settings, self._key = settings, key
+        self.name = name
+        self.choice = QComboBox()
+        for value, words in entries.items():
+            self.choice.addItem(words, value)
+        self.choice.setCurrentIndex(max(0, self.choice.findData(now)))
+        self.choice.setAccessibleName(name)
+        labelled_row(self, name, self.choice)
+        self.choice.currentIndexChanged.connect(self._keep)
+
+    def _keep(self) -> None:
+        self._settings.setValue(self._key, self.choice.currentData())
+        self._settings.sync()
+        self.chosen.emit()
+
+
+def choosers(settings: QSettings) -> tuple[Chooser, Chooser, Chooser, Chooser]:
+    """Return the choosers of language, units, appearance and text size."""
+    kept = str(settings.value(LANGUAGE_SETTING, ""))
+    known = languages()
+    language = kept if kept in known else current_language()
+    looks = {value: _(words) for value, words in APPEARANCES.items()}
+    sizes = {value: f"{_(words)} ({value} %)" for value, words in TEXT_SIZES.items()}
+    look, size = str(settings.value(APPEARANCE_SETTING, "")), str(settings.value(TEXT_SIZE_SETTING, ""))
+    made = (
+        Chooser(settings, LANGUAGE_SETTING, _("Language"), known, language),
+        Chooser(settings, UNITS_SETTING, _("Units"), {name: _(NAMES[name]) for name in SYSTEMS}, in_force()),
+        Chooser(settings, APPEARANCE_SETTING, _("Appearance"), looks, look),
+        Chooser(settings, TEXT_SIZE_SETTING, _("Text size"), sizes, size),
+    )
+    tip = _("Units of plots and tables in the window; files and reports stay as they are")
+    made[1].choice.setToolTip(tip)
+    return made
+
+
+ROLE_NAMES: dict[Role, str] = {
+    "clinician": marked("Clinician"),
+    "researcher": marked("Researcher"),
+    "technician": marked("Technician"),
+}
+
+
+class RoleChooser(QWidget):
+    """A chooser of roles; ``changed`` carries the previous and the new role."""
+
+    changed = Signal(str, str)
+
+    def __init__(self, role: Role, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._role: Role = role
+        self.choice = build.styled(
+            QComboBox(), name=_("Role"), tip=_("Actions are logged in this role; a technician can calibrate")
+        )
+        for name in ROLES:
+            self.choice.addItem(_(ROLE_NAMES[name]), name)
+        self.choice.setCurrentIndex(self.choice.findData(role))
+        labelled_row(self, _("Role"), self.choice, role="muted", spacing=6)
+        self.choice.currentIndexChanged.connect(self._change)
+
+    @property
+    def role(self) -> Role:
+        """The chosen role."""
+        return self._role
+
+    def _change(self) -> None:
+        before, self._role = self._role, self.choice.currentData()
+        if before != self._role:
+            self.changed.emit(before, self._role)
+
+
+class RoleCard(BigButton):
+    """A button with a title and a sentence."""
+
+    def __init__(self, role: Role, sentence: str, parent: QWidget | None = None) -> None:
+        super().__init__("", parent)
+        self.role: Role = role
+        self._sentence = sentence
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Minimum)
+        self._title = build.styled(QLabel(_(ROLE_NAMES[role])), role="headline")
+        self._text = build.styled(
+            QLabel(sentence),
+            word_wrap=True,
+            minimum_width=1,
+            alignment=Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft,
+        )
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(16, 10, 14, 12)
+        layout.setSpacing(4)
+        for label in (self._title, self._text):
+            label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+            layout.addWidget(label)
+        layout.addStretch(1)
+        self.show_taken(False)
+
+    def show_taken(self, taken: bool) -> None:
+        """Show whether this is the current role."""
+        self.setProperty("taken", taken)
+        title = _(ROLE_NAMES[self.role])
+        self._title.setText(_("{role} (current)").format(role=title) if taken else title)
+        self.setAccessibleName(f"{self._title.text()}: {self._sentence}")
+        self.style().unpolish(self)
+        self.style().polish(self)
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return the height that the description needs at the present width."""
+        layout = self.layout()
+        assert layout is not None
+        return QSize(240, layout.heightForWidth(max(200, self.width())))
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """A third of the smallest window."""
+        return QSize(200, self.sizeHint().height())
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """At another width the sentence needs another height."""
+        super().resizeEvent(event)
+        if event.size().width() != event.oldSize().width():
+            self.updateGeometry()

@@ -9,9 +9,8 @@ from app.benches import WAIT_MS
 from PySide6.QtCore import QCoreApplication, QEvent, QPoint, QSettings, Qt
 from PySide6.QtWidgets import QMainWindow
 
-from tissueid.app.context import AppContext
+from tissueid.app.context import AppContext, AppServices
 from tissueid.app.jobs import Jobs
-from tissueid.app.services import AppServices
 from tissueid.app.views.researcher.session_tree import SITE
 from tissueid.app.views.researcher.view import ResearchView
 from tissueid.device import DeviceDescription

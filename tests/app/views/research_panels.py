@@ -11,9 +11,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.context import AppContext
+from tissueid.app.context import AppContext, AppServices
 from tissueid.app.jobs import Jobs
-from tissueid.app.services import AppServices
 from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.analysis import AnalysisPanel
 from tissueid.app.views.researcher.results_store import AnalysisHistory

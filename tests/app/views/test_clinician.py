@@ -9,10 +9,9 @@ from PySide6.QtCore import Qt
 
 from tissueid.acquisition import Phase
 from tissueid.acquisition.surface_detection import Contact, contact_of_free
-from tissueid.app.contact_watcher import contact_in_test
 from tissueid.app.form import SITES
-from tissueid.app.live_signals import Snapshot
-from tissueid.app.safety import Safety
+from tissueid.app.guidance import contact_in_test
+from tissueid.app.live_signals import Safety, Snapshot
 from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, outline
 from tissueid.device import DeviceDescription
 from tissueid.errors import LinkLostError

@@ -10,8 +10,15 @@ from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test, seeded
 from coded import code_of, codes, made, reads, shows
 
-from tissueid.app.views.clinician.comparing import STUDY, Shelf, Sighting, SittingComparison, compare_with, of_study
-from tissueid.app.views.clinician.comparison_card import THIS
+from tissueid.app.views.clinician.comparing import (
+    STUDY,
+    THIS,
+    Shelf,
+    Sighting,
+    SittingComparison,
+    compare_with,
+    of_study,
+)
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, together
 from tissueid.instrument import SimulatedInstrument
 from tissueid.procedures.study_protocol import PROTOCOL_FILE

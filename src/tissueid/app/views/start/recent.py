@@ -13,7 +13,7 @@ from pathlib import Path
 from platformdirs import user_log_path
 from PySide6.QtCore import QSettings
 
-from tissueid.app.services import AppServices
+from tissueid.app.context import AppServices
 from tissueid.app.words import in_words, sentence
 from tissueid.calibration.store import calibration_folder, user_calibration_folder
 from tissueid.errors import TissueIDError, UnusableInputError
