@@ -26,7 +26,7 @@ def run(qtbot, window):
     """Run the test of the form to its end, and read its session."""
     form = window.ui.form
     path = form.folder / "made.h5"
-    form.take_chosen_path(str(path))
+    form.take_chosen_path(path)
     press(qtbot, window.ui.start)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert path.exists(), window.ui.notice.text.text()

@@ -33,6 +33,7 @@ from tissueid.language import _
 Item = QWidget | QLayout | None
 """A part of a row or column; None is a stretch."""
 AnyObject = TypeVar("AnyObject", bound=QObject)
+AnyWidget = TypeVar("AnyWidget", bound=QWidget)
 Box = TypeVar("Box", bound=QBoxLayout)
 AnyTable = TypeVar("AnyTable", bound=QTableView)
 
@@ -95,7 +96,15 @@ def styled(widget: AnyObject, **properties: Any) -> AnyObject:
     return widget
 
 
-STYLE_PROPERTIES = ("role", "level", "state")
+def restyle(widget: AnyWidget, **properties: Any) -> AnyWidget:
+    """Set properties of a widget that is shown, and apply the style sheet to it again."""
+    styled(widget, **properties)
+    widget.style().unpolish(widget)
+    widget.style().polish(widget)
+    return widget
+
+
+STYLE_PROPERTIES = ("role", "level", "state", "taken")
 """Properties that the style sheet asks for."""
 _SETTERS = {"tip": "setToolTip", "name": "setAccessibleName"}
 

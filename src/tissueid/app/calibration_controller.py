@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PySide6.QtCore import QObject, Signal
+from PySide6.QtCore import QObject
 
 from tissueid.acquisition.playback import Phase, Progress
 from tissueid.app.calibration_page import CalibrationOutcome, CalibrationPage, PromptState
@@ -196,12 +196,7 @@ class LiveCalibration:
 
 
 class CalibrationController(QObject):
-    """Starts calibrations and shows their progress and result; they share jobs and STOP with the tests.
-
-    ``answered`` carries the address of a calibrated instrument, and the instrument without a calibration.
-    """
-
-    answered = Signal(str, object)
+    """Starts calibrations and shows their progress and result; they share jobs and STOP with the tests."""
 
     def __init__(
         self,
@@ -299,7 +294,7 @@ class CalibrationController(QObject):
         self._instruments.forget_calibrations()
         self._instruments.tell_calibration(self._url, outcome.state)
         if outcome.nominal is not None:
-            self.answered.emit(self._url, outcome.nominal)
+            self._context.state.instrument_answered.emit(self._url, outcome.nominal)
 
     def _failed(self, words: str) -> None:
         notices = [] if self._prompts is None else [sentence(translated(line)) for line in self._prompts.notices]

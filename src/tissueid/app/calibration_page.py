@@ -228,9 +228,7 @@ class CalibrationPage(QWidget):
         self.headline.setText(sentence(translated(headline_of(calibration))))
         level = "good" if calibration.verdict == "passed" else "poor"
         for widget in (self._result, self.headline):
-            widget.setProperty("level", level)
-            widget.style().unpolish(widget)
-            widget.style().polish(widget)
+            build.restyle(widget, level=level)
         lines = [sentence(translated(line)) for line in (*problems_of(calibration), *outcome.remarks)]
         self.said.setText("\n".join([*lines, _("Saved in {path}.").format(path=outcome.path)]))
         self._has_report = outcome.report is not None

@@ -177,12 +177,10 @@ class InstrumentChooser(QWidget):
     def _describe_calibration(self) -> None:
         state = self.calibration_of(self.url)
         self.calibration.setText(_(state.words))
-        build.styled(
+        build.restyle(
             self.calibration,
             tip="\n".join(state.warnings),
             name=" ".join([_(state.words), *state.warnings]),
             level=state.level,
         )
-        self.calibration.style().unpolish(self.calibration)
-        self.calibration.style().polish(self.calibration)
         self.described.emit()

@@ -163,6 +163,7 @@ class Clinician(QObject):
         self._by_hand = True  # what is accepted next
         self._accepted = False  # just now: what comes next is the report, once it is logged
         self._paper: Path | None = None  # written of what is shown just so
+        context.state.cancelling.connect(self.cancel)
         ui.form.map.clicked.connect(self.open_map)
         ui.gate.repeats.again.connect(self.test_wanted)
         ui.gate.repeats.accepted.connect(self.accept)

@@ -87,7 +87,7 @@ def install_shortcuts(actions: Iterable[PaletteEntry], window: QWidget) -> None:
 
 
 def _nothing_to_stop(ui: Layout) -> str:
-    return "" if ui.testing else sentence(translated(NO_TEST))
+    return "" if ui.state.testing else sentence(translated(NO_TEST))
 
 
 def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: bool = False) -> PaletteEntry:

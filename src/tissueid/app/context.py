@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from platformdirs import user_config_path
-from PySide6.QtCore import QSettings, QUrl, Signal
+from PySide6.QtCore import QObject, QSettings, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QAbstractButton, QWidget
 
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.jobs import Jobs
 from tissueid.app.user_files import default_folder
+from tissueid.app.widgets import show_disabled_reason
 from tissueid.atomic_write import private_folder
 from tissueid.audit import AuditTrail, Role
 from tissueid.device import DeviceDescription
@@ -70,26 +71,65 @@ class Say(Protocol):
         """Show ``text`` as information or as a problem."""
 
 
+class AppState(QObject):
+    """State of the window, which pages observe.
+
+    ``testing`` is whether a coil can be energised, ``closing`` whether the window closes as soon as the running jobs
+    end, ``answered`` address and description of the instrument that was calibrated last.
+    """
+
+    changed = Signal()
+    """Sent when a job, a test or a calibration begins or ends, and when the window begins to close."""
+    role_changed = Signal(str)
+    session_saved = Signal(object)
+    """Carries the path of a session that was recorded, recovered or imported."""
+    instrument_answered = Signal(str, object)
+    """Carries address and description, without a calibration, of an instrument that was calibrated."""
+    cancelling = Signal()
+    """Sent when the window is asked to close while jobs run."""
+    leaving = Signal()
+    """Sent when the window closes: what is kept between two starts is saved."""
+
+    def __init__(self, jobs: Jobs, role: Role) -> None:
+        super().__init__(jobs)
+        self.jobs = jobs
+        self.role: Role = role
+        self.testing = self.closing = False
+        self.answered: tuple[str, DeviceDescription] | None = None
+        jobs.changed.connect(self.changed)
+        self.instrument_answered.connect(self._keep_answered)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job runs or the window closes: no other job may start."""
+        return bool(self.jobs) or self.closing
+
+    def take_role(self, role: Role) -> None:
+        """Change the role."""
+        self.role = role
+        self.role_changed.emit(role)
+
+    def _keep_answered(self, url: str, nominal: DeviceDescription) -> None:
+        self.answered = url, nominal
+
+
 @dataclass(frozen=True)
 class AppContext:
     """What a page, or an object next to the window, can use of the window.
 
-    ``settings`` are stored between two starts. ``role`` returns the current role. ``go`` shows another page by its
-    name. ``open_session`` analyses a file on the page Measure. ``prepare_test`` fills the form of that page (by the
-    names of its fields), shows it with a notice; it starts nothing. ``show_file`` opens a document in another program.
-    ``instrument`` returns the address of the instrument chosen on the page Measure. ``calibrate`` shows the page of
-    calibrations with a notice; it starts nothing. ``begin_sitting`` opens the sitting of a subject in the folder of a
-    study on the page Measure; it starts nothing. ``answered`` takes the address and description of an instrument that
-    was asked, with its calibration. ``note`` adds a line to the log. ``show_idle`` shows what the window
-    shows while nothing goes on. ``testing`` returns whether a coil can be energised, ``closing`` whether the window
-    closes as soon as the running jobs end.
+    ``settings`` are stored between two starts. ``go`` shows another page by its name. ``open_session`` analyses a file
+    on the page Measure. ``prepare_test`` fills the form of that page (by the names of its fields), shows it with a
+    notice; it starts nothing. ``show_file`` opens a document in another program. ``instrument`` returns the address of
+    the instrument chosen on the page Measure. ``calibrate`` shows the page of calibrations with a notice; it starts
+    nothing. ``begin_sitting`` opens the sitting of a subject in the folder of a study on the page Measure; it starts
+    nothing. ``answered`` takes the address and description of an instrument that was asked, with its calibration.
+    ``note`` adds a line to the log. ``show_idle`` shows what the window shows while nothing goes on.
     """
 
     services: AppServices
-    jobs: Jobs
+    state: AppState
     settings: QSettings
     say: Say
-    role: Callable[[], Role]
     go: Callable[[str], None]
     open_session: Callable[[Path], None]
     prepare_test: Callable[[Mapping[str, Any], str], None]
@@ -100,18 +140,21 @@ class AppContext:
     answered: Callable[[str, DeviceDescription], None] = lambda _url, _device: None
     note: Callable[[str], None] = lambda _words: None
     show_idle: Callable[[], None] = lambda: None
-    testing: Callable[[], bool] = lambda: False
-    closing: Callable[[], bool] = lambda: False
 
     @property
     def trail(self) -> AuditTrail:
         """The audit trail, in the current role."""
-        return AuditTrail(self.services.audit, self.role())
+        return AuditTrail(self.services.audit, self.state.role)
+
+    @property
+    def jobs(self) -> Jobs:
+        """The running jobs."""
+        return self.state.jobs
 
     @property
     def busy(self) -> bool:
         """Whether a job runs or the window closes: no other job may start."""
-        return bool(self.jobs) or self.closing()
+        return self.state.busy
 
     @property
     def unread(self) -> str:
@@ -121,7 +164,7 @@ class AppContext:
     @property
     def no_work(self) -> bool:
         """Whether no long work can start: other work runs, a test runs, or the window closes."""
-        return self.busy or self.jobs.working or self.testing()
+        return self.busy or self.jobs.working or self.state.testing
 
     def do_work(
         self,
@@ -163,7 +206,21 @@ class View(QWidget):
 
     def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.context = context
+        self.context, state = context, context.state
+        for signal, react in (
+            (state.changed, self.apply_state),
+            (state.role_changed, self.set_role),
+            (state.session_saved, self.on_session_saved),
+            (state.instrument_answered, self.on_instrument_answered),
+            (state.cancelling, self.cancel),
+            (state.leaving, self.save_state),
+        ):
+            signal.connect(react)
+
+    def apply_state(self) -> None:
+        """Enable the controls that make sense in the present state, and let the others say why they do not."""
+        self.update_enabled(busy=self.context.busy, testing=self.context.state.testing)
+        show_disabled_reason(self.waiting(), self.context.jobs.why_no_work)
 
     def enter(self) -> None:
         """Prepare the page: it is about to be shown."""

@@ -26,7 +26,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
-from tissueid.app.build import button, choice, column, fill, grid, label, row, styled
+from tissueid.app.build import ask_path, button, choice, column, fill, grid, label, row, styled
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.number_field import OptionalNumberField
 from tissueid.app.option_field import OptionField
@@ -480,22 +480,16 @@ class PlanForm(QWidget):
             self.renew_path()
 
     def _choose_path(self) -> None:
-        dialog = styled(
-            QFileDialog(self, _("Save the session to"), str(self.folder), _("Sessions (*.h5)")),
-            accept_mode=QFileDialog.AcceptMode.AcceptSave,
-            default_suffix="h5",
-        )
-        dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # an existing session is refused, not replaced
-        dialog.selectFile(Path(self.path.text()).name)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(self.take_chosen_path)
-        dialog.open()
+        name, kinds = Path(self.path.text()).name, _("Sessions (*.h5)")
+        # An existing session is refused, not replaced.
+        keep = QFileDialog.Option.DontConfirmOverwrite
+        taken = self.take_chosen_path
+        ask_path(self, _("Save the session to"), self.folder, taken, kinds, save=name, default_suffix="h5", option=keep)
 
-    def take_chosen_path(self, path: str) -> None:
+    def take_chosen_path(self, path: Path) -> None:
         """Use a path chosen in the dialog."""
         self._own_path = True
-        self.path.setText(path)
-        self.path.setToolTip(path)
+        styled(self.path, text=str(path), tip=str(path))
 
 
 def _add(layout: QVBoxLayout, name: str, field: QWidget | QLayout, *, focus: QWidget) -> QLabel:

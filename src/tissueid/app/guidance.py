@@ -13,7 +13,7 @@ from PySide6.QtWidgets import QCheckBox, QFrame, QHBoxLayout, QLabel, QProgressB
 
 from tissueid.acquisition.playback import Phase
 from tissueid.acquisition.surface_detection import MARGIN_M, PLACE_S, RECENT_S, Contact, contact_at, finite
-from tissueid.app.build import button, fill, label, row, styled, timer
+from tissueid.app.build import button, fill, label, restyle, row, styled, timer
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.form import PlanForm
@@ -85,9 +85,7 @@ class ContactLamp(QWidget):
         self.words.setText(_(contact.value))
         self.words.setAccessibleName(_("Contact: {words}").format(words=_(contact.value)))
         for part in (self.light, self.words):
-            styled(part, role="muted" if contact is Contact.UNWATCHED else "headline", level=contact.level)
-            part.style().unpolish(part)
-            part.style().polish(part)
+            restyle(part, role="muted" if contact is Contact.UNWATCHED else "headline", level=contact.level)
         if contact.level:
             QAccessible.updateAccessibility(QAccessibleEvent(self.words, QAccessible.Event.NameChanged))
 
@@ -299,6 +297,4 @@ class Guidance(QFrame):
             state = "todo" if now is None or place > order.index(now) else "now" if phase is now else "done"
             if now is Phase.RELEASE:
                 state = "done"
-            styled(part, state=state, name=f"{_(_NAMES[phase])}: {_(_STATES[state])}")
-            part.style().unpolish(part)
-            part.style().polish(part)
+            restyle(part, state=state, name=f"{_(_NAMES[phase])}: {_(_STATES[state])}")

@@ -221,14 +221,12 @@ class ImportDialog(QDialog):
         self.wanted.emit(plan)
 
     def _choose_out(self) -> None:
-        dialog = build.styled(
-            QFileDialog(self, _("Save the session"), self.out.text(), _("Sessions (*.h5)")),
-            accept_mode=QFileDialog.AcceptMode.AcceptSave,
-        )
-        dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # an import never overwrites
-        build.styled(dialog, default_suffix="h5", attribute=Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(self.out.setText)
-        dialog.open()
+        keep = QFileDialog.Option.DontConfirmOverwrite  # an import never overwrites
+        title, at, kinds = _("Save the session"), self.out.text(), _("Sessions (*.h5)")
+        build.ask_path(self, title, at, self._take_out, kinds, save="", default_suffix="h5", option=keep)
+
+    def _take_out(self, path: Path) -> None:
+        self.out.setText(str(path))
 
     # -- the table ------------------------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ from PySide6.QtWidgets import (
 
 from tissueid.app import build
 from tissueid.app.calibration_page import CalibrationPage
+from tissueid.app.context import AppState
 from tissueid.app.form import PlanForm
 from tissueid.app.guidance import Guidance
 from tissueid.app.live_analysis import LiveAnalysis
@@ -81,14 +82,13 @@ def _takes_tab(widget: QWidget) -> bool:
 class Layout:
     """The parts of the window."""
 
-    def __init__(self, window: QMainWindow, folder: Path, now: Callable[[], datetime], role: Role) -> None:
-        self.testing = False
-        """Whether a coil can be energised, as the controls show it."""
+    def __init__(self, window: QMainWindow, folder: Path, now: Callable[[], datetime], state: AppState) -> None:
+        self.state = state
         self._help: HelpPanel | None = None
         self.form = PlanForm(folder, now)
         self.study_card = StudyCard()
         self._side_frame = QFrame()
-        self.role = RoleChooser(role)
+        self.role = RoleChooser(state.role)
         self.safety = SafetyReadouts()
         self.gate = QualityGatePanel()
         self._verdict = QWidget()
@@ -134,7 +134,7 @@ class Layout:
         self.stack = QStackedWidget()
         self.views: dict[str, QWidget] = {}
         self.holders: dict[str, QWidget] = {}
-        self.show_role(role)
+        self.show_role(state.role)
         window.setMenuWidget(self._header())  # over the whole width, whatever is docked below it
         self._central = self._arrange()
         window.setCentralWidget(self._central)
@@ -260,24 +260,17 @@ class Layout:
         return next(name for name, page in self.holders.items() if page is self.stack.currentWidget())
 
     def _show_halt(self) -> None:
-        self.halt.setVisible(self.testing and self.page != MEASURE)
+        self.halt.setVisible(self.state.testing and self.page != MEASURE)
 
-    def update_enabled(self, *, busy: bool, testing: bool, has_result: bool) -> None:
+    def update_enabled(self, *, has_result: bool) -> None:
         """Enable what makes sense: while a test runs that is STOP alone."""
-        self.testing = testing
         self._show_halt()
-        self.form.setEnabled(not testing)
-        self.role.setEnabled(not busy)
-        self.calibration.update_enabled(busy=busy)
-        self.gate.run_again.setEnabled(not busy)
-        self.gate.judge_now.setEnabled(not busy)
-        self.form.instrument.refresh.setEnabled(not busy)
-        self.start.setEnabled(not busy)
-        self.open.setEnabled(not busy)
+        self.form.setEnabled(not self.state.testing)
+        self.calibration.update_enabled(busy=self.state.busy)
         self.report.setVisible(has_result)
-        self.report.setEnabled(not busy)
-        self.result.test.setEnabled(not busy)
-        self.notice.offer.setEnabled(not busy)
+        of_test = self.start, self.gate.run_again, self.gate.judge_now, self.form.instrument.refresh
+        for part in (*of_test, self.role, self.open, self.report, self.result.test, self.notice.offer):
+            part.setEnabled(not self.state.busy)
 
     @property
     def waiting(self) -> tuple[QWidget, ...]:

@@ -19,7 +19,7 @@ from tissueid.app.calibration_controller import CalibrationController
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician, Reports
 from tissueid.app.command_palette import CommandPalette, PaletteEntry, declare, install_shortcuts
-from tissueid.app.context import AppContext, AppServices
+from tissueid.app.context import AppContext, AppServices, AppState
 from tissueid.app.device_search import DeviceSearch
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, DeliberatePress, EmergencyStop
 from tissueid.app.findings import Findings, whose
@@ -90,12 +90,10 @@ class MainWindow(QMainWindow):
         self._notices_shown = 0
         self._plan: TestPlan | None = None
         self.findings: Findings | None = None
-        self._closing = False
         self.restarts = False
         """Whether a new window is to be opened after this one, which closes."""
         QCoreApplication.setAttribute(Qt.ApplicationAttribute.AA_UseStyleSheetPropagationInWidgetStyles)
         self._palette_watch = PaletteWatch()
-        self.testing = False
         self.setWindowTitle("TissueID")
         self.settings = self.services.settings()
         set_language(chosen(self.services.language, self.settings))
@@ -104,8 +102,8 @@ class MainWindow(QMainWindow):
         take_kept(self.settings)
         self._take_palette()
         appearance.changed.connect(self._dress)  # before the widgets in it, which inherit from it
-        role = self.services.role or saved_role(self.settings)
-        self.ui = Layout(self, self.services.folder, self.services.now, role)
+        self.state = AppState(self.jobs, self.services.role or saved_role(self.settings))
+        self.ui = Layout(self, self.services.folder, self.services.now, self.state)
         self.frame_timer = build.timer(self, FRAME_MS, self._frame, repeat=True)
         self._frame_at = 0.0
         self._steady = 0
@@ -147,17 +145,16 @@ class MainWindow(QMainWindow):
         self.pages.restore()
         if self.ui.page != self.pages.start.name:  # which says so itself
             self.device_search.offer_recovery()
-        self._settle()
+        self.state.changed.emit()
 
     def _make_context(self) -> AppContext:
         """Return what pages and the objects next to the window can use of it, looked up when it is used."""
         ui = self.ui
         return AppContext(
             self.services,
-            self.jobs,
+            self.state,
             self.settings,
             ui.notice.say,
-            role=lambda: ui.role.role,
             go=lambda name: self.pages.show(name),
             open_session=self.open_session,
             prepare_test=lambda values, words: self.pages.prepare_test(values, words),
@@ -168,8 +165,6 @@ class MainWindow(QMainWindow):
             answered=lambda url, device: ui.form.instrument.tell_calibration(url, calibration_state(device)),
             note=lambda words: self.panels.log.note(words),
             show_idle=self.show_idle,
-            testing=lambda: self.testing,
-            closing=lambda: self._closing,
         )
 
     def declare_actions(self) -> tuple[PaletteEntry, ...]:
@@ -241,7 +236,7 @@ class MainWindow(QMainWindow):
         self.ui.guidance.show_idle()
         self.ui.guidance.say(_("Preparing. The coil is off."))
         self._keys.listen(True)
-        self.testing = True
+        self.state.testing = True
         self.jobs.hold_results(True)
         self.ui.make_way()
         self.ui.notice.retract()
@@ -254,7 +249,7 @@ class MainWindow(QMainWindow):
         """Disarm the stop keys and the watchdog: the operation has ended and the coil is released."""
         self._keys.listen(False)
         self.frame_timer.stop()
-        self.testing = False
+        self.state.testing = False
         self.jobs.hold_results(False)
         self.clinician.freed()
         self.ui.safety.clear()
@@ -350,8 +345,8 @@ class MainWindow(QMainWindow):
             self.ui.safety.show_link_lost(outcome.link_lost.watchdog_s)
         if session is not None:
             self.study.recorded(outcome.path, session)
-            self.pages.on_session_saved(outcome.path)
-        if session is not None and session.tests and not self._closing:
+            self.state.session_saved.emit(outcome.path)
+        if session is not None and session.tests and not self.state.closing:
             self._show_gate(session.test())
             self._identify(outcome.path, session, None)
         else:
@@ -462,7 +457,7 @@ class MainWindow(QMainWindow):
     def _repeats_shown(self) -> bool:
         """Whether a test by the form is the shown test again: one recorded here, of the same subject and site."""
         form, found, plan = self.ui.form, self.findings, self._plan
-        if plan is None or self._closing or self.study.leads:
+        if plan is None or self.state.closing or self.study.leads:
             return False
         shown = (plan.subject, plan.site) if found is None else (found.session.subject.pseudonym, found.test.site)
         imported = found is not None and IMPORTED in found.test.notes
@@ -513,7 +508,7 @@ class MainWindow(QMainWindow):
 
     def _show_recovered(self, sessions: list[tuple[Path, Session]]) -> None:
         for path, _session in sessions:
-            self.pages.on_session_saved(path)
+            self.state.session_saved.emit(path)
         self.identify(*sessions[-1])
 
     def _page_changed(self) -> None:
@@ -530,13 +525,18 @@ class MainWindow(QMainWindow):
     @property
     def busy(self) -> bool:
         """Whether a job runs or the window closes: no other job may start."""
-        return self.context.busy
+        return self.state.busy
+
+    @property
+    def testing(self) -> bool:
+        """Whether a coil can be energised."""
+        return self.state.testing
 
     def _change_role(self, before: str, now: Role) -> None:
         self.ui.show_role(now)
         if not self.ui.notice.holds_problem:
             self.ui.notice.retract()  # news that another role contradicts
-        self.pages.set_role(now)
+        self.state.take_role(now)
         save_role(self.settings, now)
         work = functools.partial(record_role, self.context.trail, before, now)
         self.jobs.do(work, self.on_logged, self.ui.notice.say_everywhere)
@@ -546,12 +546,11 @@ class MainWindow(QMainWindow):
 
     def _settle(self) -> None:
         """Let every control do what now makes sense, and nothing else."""
-        self.ui.update_enabled(busy=self.busy, testing=self.testing, has_result=self.findings is not None)
+        self.ui.update_enabled(has_result=self.findings is not None)
         self.clinician.update_enabled(busy=self.busy, testing=self.testing)
         self.study.update_enabled(busy=self.busy)
-        self.pages.update_enabled(busy=self.busy, testing=self.testing)
         show_disabled_reason(self.ui.waiting, self.jobs.why)
-        if self._closing and self.jobs.idle:
+        if self.state.closing and self.jobs.idle:
             self.close()
 
     # -- the window itself ------------------------------------------------------------------------------------
@@ -559,13 +558,12 @@ class MainWindow(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
         """Close; a running test first releases the coil and keeps what was recorded."""
         if not self.jobs.idle:
-            self._closing = True
+            self.state.closing = True
             self.emergency.press(BY_CLOSING)
-            self.pages.cancel()
-            self.clinician.cancel()
+            self.state.cancelling.emit()
             first = _("Closing: the coil is being released.")
             self.ui.guidance.say(first if self.testing else _("Closing: the last work is being finished."))
-            self._settle()
+            self.state.changed.emit()
             event.ignore()
             return
         self.frame_timer.stop()
@@ -601,7 +599,7 @@ class MainWindow(QMainWindow):
 
     def _connect(self) -> None:
         ui = self.ui
-        self.jobs.changed.connect(self._settle)
+        self.state.changed.connect(self._settle)
         ui.start.clicked.connect(self.start_test)
         ui.role.changed.connect(self._change_role)
         ui.gate.again.connect(self._start_again)
@@ -622,7 +620,6 @@ class MainWindow(QMainWindow):
         self.clinician.findings_wanted.connect(self.show_findings)
         self.device_search.recovered.connect(self._show_recovered)
         self.pages.shown.connect(self._page_shown)
-        self._calibrator.answered.connect(self.pages.on_instrument_answered)
         start = self.pages.start
         start.language.chosen.connect(self._offer_restart)
         start.units.chosen.connect(self._take_units)

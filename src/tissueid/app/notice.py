@@ -159,9 +159,7 @@ class Notice(QFrame):
         """
         self._pages, self._passed = frozenset({self._page, page or self._page}), False
         self._lasts, self._about_form, self._act = problem or (bool(offer) and act is None), about_form, act
-        self.setProperty("level", "problem" if problem else "news")
-        self.style().unpolish(self)
-        self.style().polish(self)
+        build.restyle(self, level="problem" if problem else "news")
         self.text.setText(text)
         self.setAccessibleName(text)
         self.offer.setText(offer)

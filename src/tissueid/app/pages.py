@@ -21,12 +21,10 @@ from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.theme import appearance, palette_of
 from tissueid.app.views.start.view import StartView
-from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import saved_page
 from tissueid.app.words import sentence
 from tissueid.atomic_write import private_folder, unused_path
 from tissueid.audit import Role
-from tissueid.device import DeviceDescription
 from tissueid.formatting import clean
 from tissueid.language import _, marked, plural
 from tissueid.messages import translated
@@ -81,7 +79,6 @@ class Pages(QObject):
     def __init__(self, context: AppContext, ui: Layout, window: QWidget) -> None:
         super().__init__(window)
         self._context, self._ui = context, ui
-        self._answered: tuple[str, DeviceDescription] | None = None
         self.start = StartView(self._context_of(StartView.name))
         self.views: list[View] = [self.start]
         ui.rail.add(self.start.name, _("Start"))
@@ -108,8 +105,7 @@ class Pages(QObject):
 
     def save(self) -> None:
         """Save the state of the pages."""
-        for view in self.views:
-            view.save_state()
+        self._context.state.leaving.emit()
         self._context.settings.sync()
 
     def show(self, name: str) -> None:
@@ -132,28 +128,6 @@ class Pages(QObject):
         """Return the title of a page."""
         return self._ui.rail.buttons[name].text()
 
-    def update_enabled(self, *, busy: bool, testing: bool) -> None:
-        """Enable or disable the controls of every page."""
-        for view in self.views:
-            view.update_enabled(busy=busy, testing=testing)
-            show_disabled_reason(view.waiting(), self._context.jobs.why_no_work)
-
-    def set_role(self, role: Role) -> None:
-        """Apply a new user role to all pages."""
-        for view in self.views:
-            view.set_role(role)
-
-    def on_session_saved(self, path: Path) -> None:
-        """Notify all pages of a session that was recorded or recovered."""
-        for view in self.views:
-            view.on_session_saved(path)
-
-    def on_instrument_answered(self, url: str, nominal: DeviceDescription) -> None:
-        """Notify all pages of an instrument that was calibrated."""
-        self._answered = url, nominal
-        for view in self.views:
-            view.on_instrument_answered(url, nominal)
-
     def offer_files(self, paths: list[Path]) -> bool:
         """Return whether the page that is shown takes these files."""
         return any(view.offer_files(paths) for view in self.views if view.name == self._ui.page)
@@ -171,11 +145,6 @@ class Pages(QObject):
             if isinstance(view, ResearchView):
                 view.list_sessions(paths)
 
-    def cancel(self) -> None:
-        """Cancel the jobs of all pages: the window closes."""
-        for view in self.views:
-            view.cancel()
-
     def _make(self, name: str) -> None:
         """Create a page and bring it to the current state: role, enabled controls, theme."""
         view = LATER[name][1](self._context_of(name))
@@ -183,11 +152,11 @@ class Pages(QObject):
         self._ui.add_page(name, view)
         _pass_drops_on(view)
         self._ui.notice.watch(view)
-        view.set_role(self._ui.role.role)
-        if self._answered is not None:
-            view.on_instrument_answered(*self._answered)
-        view.update_enabled(busy=self._context.busy, testing=self._context.testing())
-        show_disabled_reason(view.waiting(), self._context.jobs.why_no_work)
+        state = self._context.state
+        view.set_role(state.role)
+        if state.answered is not None:
+            view.on_instrument_answered(*state.answered)
+        view.apply_state()
         view.setPalette(palette_of(appearance.theme))
 
     def _context_of(self, name: str) -> AppContext:
@@ -303,7 +272,7 @@ class FileDrops(QObject):
         said = plural("Imported {count} test into {path}.", "Imported {count} tests into {path}.", count)
         doubts = [*(notice for test in made.tests for notice in test.notices), *made.notices, *problems]
         words = [said.format(count=count, path=clean(str(self._out))), *(sentence(translated(one)) for one in doubts)]
-        self._pages.on_session_saved(self._out)
+        self._context.state.session_saved.emit(self._out)
         if not self._pages.show_new(self._out):
             self._context.open_session(self._out)
         self._context.say(" ".join(words), problem=bool(problems))

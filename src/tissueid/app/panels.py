@@ -14,7 +14,6 @@ from PySide6.QtGui import QFontDatabase, QGuiApplication, QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QApplication,
     QDockWidget,
-    QFileDialog,
     QFrame,
     QLabel,
     QMainWindow,
@@ -200,21 +199,14 @@ class LogPanel(QDockWidget):
         self.saved.emit(_("The lines are copied."), False)
 
     def _choose(self) -> None:
-        name = self._folder / f"tissueid-log-{self._now():%Y-%m-%d_%H-%M-%S}.txt"
-        dialog = build.styled(
-            QFileDialog(self, _("Save the log"), str(self._folder), _("Text (*.txt)")),
-            accept_mode=QFileDialog.AcceptMode.AcceptSave,
-            default_suffix="txt",
-        )
-        dialog.selectFile(name.name)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(self.save_to)
-        dialog.open()
+        name = f"tissueid-log-{self._now():%Y-%m-%d_%H-%M-%S}.txt"
+        title, kinds = _("Save the log"), _("Text (*.txt)")
+        build.ask_path(self, title, self._folder, self.save_to, kinds, save=name, default_suffix="txt")
 
-    def save_to(self, path: str) -> None:
+    def save_to(self, path: Path) -> None:
         """Write all lines to a file."""
         try:
-            write_private(Path(path), self.lines.toPlainText() + "\n")
+            write_private(path, self.lines.toPlainText() + "\n")
         except OSError as error:
             self.saved.emit(in_words(error), True)
         else:
@@ -278,7 +270,7 @@ class Panels(QObject):
             if panel is self.log:
                 height = min(_LOG_HEIGHT, self._window.height() // 3)
                 self._window.resizeDocks([self.log], [height], Qt.Orientation.Vertical)
-            if not self._context.testing():
+            if not self._context.state.testing:
                 self._before = focus
                 text = self.help.reader if panel is self.help else self.log.lines
                 text.setFocus()

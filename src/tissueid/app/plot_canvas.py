@@ -15,7 +15,6 @@ from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt
 from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QPalette, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import (
     QApplication,
-    QFileDialog,
     QFrame,
     QLabel,
     QMenu,
@@ -338,18 +337,11 @@ class PlotCanvas(QFrame):
 
     def ask_where_to_save(self) -> None:
         """Ask for a file, and save the plots in it."""
-        dialog = build.styled(
-            QFileDialog(self, _("Save the figure"), "", ";;".join(_(text) for text in FILES.values())),
-            accept_mode=QFileDialog.AcceptMode.AcceptSave,
-            default_suffix="png",
-        )
+        kinds = ";;".join(_(text) for text in FILES.values())
+        dialog = build.ask_path(self, _("Save the figure"), None, self._save_to, kinds, save="", default_suffix="png")
         dialog.filterSelected.connect(lambda text: dialog.setDefaultSuffix(text.rpartition("*.")[2].rstrip(")")))
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(self._save_to)
-        dialog.open()
 
-    def _save_to(self, name: str) -> None:
-        path = Path(name)
+    def _save_to(self, path: Path) -> None:
         if path.suffix.lower() not in FILES:
             path = path.with_name(f"{path.name}.png")
         try:

@@ -8,6 +8,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
 
 from tissueid.app import build
 from tissueid.app.live_signals import Safety
+from tissueid.app.widgets import show_level
 from tissueid.formatting import fixed
 from tissueid.language import _
 from tissueid.messages import MISSING, Message, translated
@@ -165,7 +166,4 @@ def _say(label: QLabel, text: str, level: str = "") -> None:
     if label.text() != text:
         label.setText(text)
         label.setAccessibleName(text)
-    if label.property("level") != level:
-        label.setProperty("level", level)
-        label.style().unpolish(label)
-        label.style().polish(label)
+    show_level(label, level)

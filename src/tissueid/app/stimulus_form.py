@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, Field
-from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QFileDialog, QLabel, QLineEdit, QWidget
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QComboBox, QLabel, QLineEdit, QWidget
 
 from tissueid.acquisition.waveform_file import SUFFIXES, is_waveform
 from tissueid.app import build
@@ -241,13 +241,8 @@ class StimulusForm(QWidget):
     def _choose_file(self) -> None:
         kinds = " ".join(f"*{suffix}" for suffix in (".json", *SUFFIXES))
         offered = f"{_('Stimuli and waveforms')} ({kinds});;{_('All files')} (*)"
-        dialog = build.styled(
-            QFileDialog(self, _("Choose the file of a stimulus"), self.file.text(), offered),
-            file_mode=QFileDialog.FileMode.ExistingFile,
-            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
-        )
-        dialog.fileSelected.connect(self.file.setText)
-        dialog.open()
+        title, at = _("Choose the file of a stimulus"), self.file.text()
+        build.ask_path(self, title, at, lambda path: self.file.setText(str(path)), offered)
 
 
 def _model(kind: str) -> type[BaseModel]:

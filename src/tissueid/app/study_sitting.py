@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, Signal
-from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFileDialog, QFormLayout, QLineEdit, QWidget
+from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QWidget
 
 from tissueid.app import build
 from tissueid.app.context import AppContext
@@ -172,7 +172,7 @@ class StudySitting(QObject):
 
     def leave(self) -> None:
         """Leave the sitting; it continues when it is opened again."""
-        if self.state is None or self._context.testing():
+        if self.state is None or self._context.state.testing:
             return
         self.state, self.instruction, self.before = None, "", ()
         self.card.hide()
@@ -265,19 +265,14 @@ class StudySitting(QObject):
         """They are in the file; there is nothing to say."""
 
     def _ask_photograph(self) -> None:
-        dialog = build.styled(
-            QFileDialog(self._ui.form, _("Photograph of the site"), "", _("Pictures (*.jpg *.jpeg *.png)")),
-            file_mode=QFileDialog.FileMode.ExistingFile,
-            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
-        )
-        dialog.fileSelected.connect(self.add_photograph)
-        dialog.open()
+        kinds = _("Pictures (*.jpg *.jpeg *.png)")
+        build.ask_path(self._ui.form, _("Photograph of the site"), None, self.add_photograph, kinds)
 
-    def add_photograph(self, path: str) -> None:
+    def add_photograph(self, path: Path) -> None:
         """Copy a photograph of the site of the form into the folder of the study."""
         state, site = self.state, self._ui.form.site.currentText().strip()
         if state is not None and not self._context.busy:
-            work = functools.partial(add_photograph, state.folder, state.subject, site, Path(path))
+            work = functools.partial(add_photograph, state.folder, state.subject, site, path)
             self._context.jobs.do(work, self._photographed, self._failed)
 
     def _photographed(self, path: Path) -> None:

@@ -9,6 +9,7 @@ from PySide6.QtCore import QEvent, QSize, Qt
 from PySide6.QtGui import QHelpEvent, QKeyEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QToolTip, QWidget
 
+from tissueid.app.build import restyle
 from tissueid.formatting import clean
 
 
@@ -103,6 +104,4 @@ def plain_tip(text: str) -> str:
 def show_level(widget: QWidget, level: str) -> None:
     """Set the colour level of a widget: good, check, poor or none."""
     if widget.property("level") != level:
-        widget.setProperty("level", level)
-        widget.style().unpolish(widget)
-        widget.style().polish(widget)
+        restyle(widget, level=level)

@@ -299,12 +299,10 @@ class RoleCard(BigButton):
 
     def show_taken(self, taken: bool) -> None:
         """Show whether this is the current role."""
-        self.setProperty("taken", taken)
         title = _(ROLE_NAMES[self.role])
         self._title.setText(_("{role} (current)").format(role=title) if taken else title)
         self.setAccessibleName(f"{self._title.text()}: {self._sentence}")
-        self.style().unpolish(self)
-        self.style().polish(self)
+        build.restyle(self, taken=taken)
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return the height that the description needs at the present width."""

@@ -9,7 +9,7 @@ from app.benches import WAIT_MS
 from PySide6.QtCore import QCoreApplication, QEvent, QPoint, QSettings, Qt
 from PySide6.QtWidgets import QMainWindow
 
-from tissueid.app.context import AppContext, AppServices
+from tissueid.app.context import AppContext, AppServices, AppState
 from tissueid.app.jobs import Jobs
 from tissueid.app.views.researcher.session_tree import SITE
 from tissueid.app.views.researcher.view import ResearchView
@@ -70,19 +70,15 @@ class Host(QMainWindow):
         services = AppServices(folder=folder, separate_process=False)
         none = [lambda *_: None] * 2
         context = AppContext(
-            services, self.jobs, self.settings, self.say, lambda: "researcher", none[0], self.opened.append, *none
+            services, AppState(self.jobs, "researcher"), self.settings, self.say, none[0], self.opened.append, *none
         )
         self.view = ResearchView(context)
-        self.jobs.changed.connect(self.update_enabled)
         self.setCentralWidget(self.view)
         self.resize(1000, 580)
-        self.update_enabled()
+        self.view.apply_state()
 
     def say(self, text, *, problem=False):
         self.said.append(text)
-
-    def update_enabled(self):
-        self.view.update_enabled(busy=bool(self.jobs), testing=False)
 
     def start(self):
         self.view.enter()

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.context import AppContext, AppServices
+from tissueid.app.context import AppContext, AppServices, AppState
 from tissueid.app.jobs import Jobs
 from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.analysis import AnalysisPanel
@@ -52,7 +52,9 @@ def open_panel(qtbot, tmp_path, strip, history):
         settings = QSettings(str(tmp_path / "panel.ini"), QSettings.Format.IniFormat)
         nothing = lambda *_: None  # noqa: E731
         services = AppServices(folder=tmp_path, separate_process=False)
-        context = AppContext(services, jobs, settings, strip, lambda: "researcher", nothing, nothing, nothing, nothing)
+        context = AppContext(
+            services, AppState(jobs, "researcher"), settings, strip, nothing, nothing, nothing, nothing
+        )
         panel = AnalysisPanel(context, home, history=history)
         jobs.changed.connect(lambda: panel.update_enabled(busy=bool(jobs), testing=False))
         home.resize(700, 560)

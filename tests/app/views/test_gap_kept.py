@@ -380,7 +380,7 @@ def test_files_from_elsewhere_are_offered_once_they_were_saved_or_opened_until_t
     idle(qtbot, window)
     for name in ("heard.h5", "opened.h5"):
         (elsewhere / name).write_bytes(friction.read_bytes())
-    window.pages.on_session_saved(elsewhere / "heard.h5")
+    window.state.session_saved.emit(elsewhere / "heard.h5")
     window.files.take([elsewhere / "opened.h5"])
     window.files.take([friction])
     idle(qtbot, window)

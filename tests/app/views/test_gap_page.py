@@ -350,7 +350,7 @@ def test_an_empty_folder_offers_nothing_until_a_session_is_heard_of(open_window,
     assert page.asking.session.path is None
     assert not page.asking.run.isEnabled()
     friction.write_bytes(content)
-    window.pages.on_session_saved(friction)
+    window.state.session_saved.emit(friction)
     assert page.asking.session.path == friction
     assert page.asking.run.isEnabled()
 

@@ -214,7 +214,7 @@ def test_a_session_that_is_recorded_meanwhile_is_listed(qtbot, open_start, tmp_p
     window = open_start()
     page = window.pages.start
     shutil.copy(saved, tmp_path / "new.h5")
-    window.pages.on_session_saved(tmp_path / "new.h5")
+    window.state.session_saved.emit(tmp_path / "new.h5")
     qtbot.waitUntil(lambda: page.recent.rowCount() == 1, timeout=WAIT_MS)
 
 
@@ -239,7 +239,7 @@ def test_reading_is_cancelled_and_what_is_asked_for_meanwhile_comes_next(qtbot, 
     assert page.stop_reading.isHidden()
     reached.clear()
     go_on.clear()
-    window.pages.on_session_saved(tmp_path / "other.h5")
+    window.state.session_saved.emit(tmp_path / "other.h5")
     qtbot.waitUntil(reached.is_set, timeout=WAIT_MS)
     press(qtbot, page.cards["researcher"])
     assert window.ui.page == "start"
@@ -352,9 +352,9 @@ def test_the_log_has_every_notice_and_failure_with_its_time(qtbot, window, tmp_p
     ]
     press(qtbot, log.copy)
     assert QGuiApplication.clipboard().text().splitlines()[:3] == lines
-    log.save_to(str(tmp_path / "log.txt"))
+    log.save_to(tmp_path / "log.txt")
     assert (tmp_path / "log.txt").read_text(encoding="utf-8").splitlines()[:3] == lines
-    log.save_to(str(tmp_path / "none" / "log.txt"))
+    log.save_to(tmp_path / "none" / "log.txt")
     assert window.ui.notice.property("level") == "problem"
     for number in range(MOST_LINES + 10):
         log.note(f"line {number}")

@@ -229,11 +229,11 @@ def test_a_photograph_goes_into_the_folder(qtbot, window, tmp_path, study):
     assert window.ui.study_card.photograph.isVisible()
     source = tmp_path / "p.png"
     window.ui.study_card.grab().save(str(source))
-    window.study.add_photograph(str(source))
+    window.study.add_photograph(source)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert [path.name for path in (folder / "photographs").iterdir()] == ["P01 left-calf.png"]
     (tmp_path / "p.jpg").write_bytes(b"no")
-    window.study.add_photograph(str(tmp_path / "p.jpg"))
+    window.study.add_photograph(tmp_path / "p.jpg")
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert shows(window.ui.notice.text.text(), "photograph.kind")
 

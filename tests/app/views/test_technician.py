@@ -332,7 +332,7 @@ def test_calibrations_are_judged_for_the_chosen_instrument_and_one_just_made_is_
     assert view.health.checkup is None
     assert view.health.light.level == ""
     assert "Health" in tab.about.text()
-    window.pages.on_instrument_answered(other, nominal)
+    window.state.instrument_answered.emit(other, nominal)
     rest(qtbot, view)
     assert nominal.serial_number in tab.about.text()
     assert [tab.model.data(tab.model.index(0, 4))] == active

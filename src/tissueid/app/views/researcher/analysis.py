@@ -289,7 +289,7 @@ class AnalysisPanel(QWidget):
 
     def _look(self) -> None:
         """Show progress, and the fits that are ready: not during a measurement, which new plots would disturb."""
-        ready = [] if self._work is None or self.context.testing() else self._work.parts[self._shown_parts :]
+        ready = [] if self._work is None or self.context.state.testing else self._work.parts[self._shown_parts :]
         if ready:
             self._shown_parts += len(ready)
             self._keep([outcome for part in ready for outcome in part])

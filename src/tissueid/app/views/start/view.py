@@ -248,7 +248,7 @@ class StartView(View):
         self.folder = button(_("Show folder"), self._show_folder, name=_("Show the folder of sessions"))
         self._arrange()
         self._connect()
-        self.set_role(context.role())
+        self.set_role(context.state.role)
 
     # -- what the window tells ------------------------------------------------------------------------------
 
@@ -313,7 +313,7 @@ class StartView(View):
 
     def focus_first(self) -> None:
         """Set the focus to the card of the current role."""
-        self.cards[self.context.role()].setFocus()
+        self.cards[self.context.state.role].setFocus()
 
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
         """Read the folder again when the page is shown."""

@@ -194,7 +194,7 @@ class CalibrationsTab(Tab):
 
     def _go(self) -> None:
         """Show the page of calibrations; start nothing."""
-        if self.context.role() == "technician":
+        if self.context.state.role == "technician":
             self.context.calibrate(_(_TO_MEASURE))
         else:
             self.context.say(_(_ROLE))
