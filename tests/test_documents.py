@@ -10,7 +10,7 @@ from pages import ROOT, anchors, blocks, links
 from typer.main import get_command
 
 from tissueid.cli.command_reference import all_commands
-from tissueid.cli.commands import app
+from tissueid.cli.commands import loaded_app
 from tissueid.identification import engine_names
 from tools.measured_pages import FOLDER, as_page
 
@@ -32,7 +32,7 @@ def test_links_and_anchors_lead_somewhere(document):
 
 def test_the_examples_name_commands_and_options_that_exist():
     """Every line of a shell example that calls the program, on every page."""
-    known = {command.words: command for command in all_commands(app)}
+    known = {command.words: command for command in all_commands()}
     checked = 0
     for document in DOCUMENTS:
         for line in "\n".join([*blocks(document, "sh"), *blocks(document, "")]).replace("\\\n", " ").splitlines():
@@ -82,7 +82,7 @@ def test_measured_figures_make_a_page_with_complete_rows(data):
 
 def test_every_row_of_the_thesis_says_where_it_is():
     """No row is empty, and every file and command that one names exists."""
-    commands = {name for name, _command in get_command(app).commands.items()}
+    commands = {name for name, _command in get_command(loaded_app()).commands.items()}
     rows = [line for line in (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8").splitlines() if line[:2] == "| "]
     places = [row.split(" | ")[2] for row in rows if not row.startswith(("| thesis", "| ---"))]
     assert len(places) > 90

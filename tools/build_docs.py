@@ -94,13 +94,12 @@ def references() -> dict[str, str]:
     """Return the generated pages by name: the Python interface, the commands, engines, stimuli and effects."""
     import tissueid
     from tissueid.cli.command_reference import manual_markdown
-    from tissueid.cli.commands import app
 
     engines, stimuli = tissueid.list_engines(), tissueid.list_stimuli()
     effects = [_effect(effect) for effect in tissueid.list_effects().values()]
     return {
         "python": _python_page(),
-        "commands": manual_markdown(app),
+        "commands": manual_markdown(),
         "engines": _options_page("Options of the engines", "tissueid engines NAME", engines),
         "stimuli": _options_page("Options of the stimuli", "tissueid stimulus KIND --options", stimuli),
         "effects": "\n".join([_EFFECTS, *effects]),

@@ -39,13 +39,12 @@ def problem(package: str, folder: Path, extra: str = "dev") -> str:
 def write_generated(share: Path) -> None:
     """Write manual page and completions, made from the argument parsers."""
     from tissueid.cli.command_reference import completion_script, manual_page
-    from tissueid.cli.commands import app
 
     for name, text in {
-        "man/man1/tissueid.1": manual_page(app),
-        "bash-completion/completions/tissueid": completion_script("bash", app),
-        "zsh/site-functions/_tissueid": completion_script("zsh", app),
-        "fish/vendor_completions.d/tissueid.fish": completion_script("fish", app),
+        "man/man1/tissueid.1": manual_page(),
+        "bash-completion/completions/tissueid": completion_script("bash"),
+        "zsh/site-functions/_tissueid": completion_script("zsh"),
+        "fish/vendor_completions.d/tissueid.fish": completion_script("fish"),
     }.items():
         path = share / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,7 @@ import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
@@ -27,7 +27,7 @@ from tissueid.option_errors import option_error, validation_reason
 
 @dataclass(frozen=True)
 class Option:
-    """Declaration of an option as an annotation of a field. Default and bounds (``ge``, ``le``) are those of the field.
+    """Declaration of an option as an annotation of a field. Default and bounds are those of the field.
 
     Args:
         name: on the command line, such as "--seconds"; "" for the name of the field, with "--no-" for a switch.
@@ -84,21 +84,48 @@ def option_of(field: FieldInfo) -> Option | None:
     return next((item for item in field.metadata if isinstance(item, Option)), None)
 
 
-def bounds_of(field: FieldInfo) -> tuple[float | None, float | None]:
-    """Return the least and greatest value of a field, None where it has no such bound."""
-    least, most = (next((getattr(i, name) for i in field.metadata if hasattr(i, name)), None) for name in ("ge", "le"))
-    return least, most
+class Bounds(NamedTuple):
+    """The least and greatest value of a field, None where it has no such bound; an open one is excluded itself."""
+
+    least: float | None = None
+    most: float | None = None
+    least_open: bool = False
+    most_open: bool = False
+
+
+def bounds_of(field: FieldInfo) -> Bounds:
+    """Return the bounds of a field: of ``ge``, ``gt``, ``le`` and ``lt``."""
+    limits: dict[str, float] = {}
+    for rule in field.metadata:
+        named = {name: getattr(rule, name, None) for name in ("ge", "gt", "le", "lt")}
+        limits |= {name: limit for name, limit in named.items() if limit is not None}
+    return Bounds(
+        limits.get("gt", limits.get("ge")), limits.get("lt", limits.get("le")), "gt" in limits, "lt" in limits
+    )
 
 
 def shell_options(plan: Plan) -> str:
-    """Return the options of the command line that give a plan its values, without those of defaults."""
+    """Return the options of the command line that give a plan its values, without those of defaults and arguments."""
     words: list[str] = []
     for name, field in type(plan).model_fields.items():
         option, value = option_of(field), getattr(plan, name)
-        if option is None or not option.name or value == field.get_default(call_default_factory=True):
+        if option is None or option.argument or value == field.get_default(call_default_factory=True):
             continue
-        words += [option.name, f"{value / option.scale:.12g}" if isinstance(value, float) else str(value)]
+        flag = option.name or f"--{name.replace('_', '-')}"
+        if isinstance(value, bool):
+            words.append(flag if value else flag.replace("--", "--no-", 1))
+            continue
+        texts = [_shell_text(item, option) for item in (value if isinstance(value, tuple) else (value,))]
+        for text in [option.separator.join(texts)] if option.separator else texts:
+            words += [flag, text]
     return shlex.join(words)
+
+
+def _shell_text(value: Any, option: Option) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    text = f"{value / option.scale:.12g}"
+    return text if option.scale != 1.0 or float(text) == value else repr(value)
 
 
 def parse_options(options: Sequence[str]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from tissueid.cli.lazy_command import add_command
+from tissueid.cli.commands import add_command
 
 
 def add_commands(app: typer.Typer, gap: typer.Typer) -> None:

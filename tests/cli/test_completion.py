@@ -10,21 +10,21 @@ from typer.main import get_command
 
 from tissueid.cli import main
 from tissueid.cli.command_reference import all_commands, manual_markdown
-from tissueid.cli.commands import app
+from tissueid.cli.commands import loaded_app
 
 
 @pytest.fixture(scope="module")
 def words() -> set[tuple[str, ...]]:
-    return {command.words for command in all_commands(app)}
+    return {command.words for command in all_commands()}
 
 
 def test_all_commands_are_read(words: set[tuple[str, ...]]):
-    assert {name for (name, *_) in filter(None, words)} == set(get_command(app).commands)
+    assert {name for (name, *_) in filter(None, words)} == set(get_command(loaded_app()).commands)
     assert {(), ("gap", "diagnose"), ("study", "report"), ("completion",)} <= words
-    (test,) = [command for command in all_commands(app) if command.words == ("test",)]
+    (test,) = [command for command in all_commands() if command.words == ("test",)]
     (method,) = [option for option in test.options if option.names == ("--live-method",)]
     assert method.choices == ("sliding", "rls", "als")
-    assert all(option.help for command in all_commands(app) for option in command.options)
+    assert all(option.help for command in all_commands() for option in command.options)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -68,7 +68,7 @@ def test_the_manual_has_every_command(words: set[tuple[str, ...]], capsys: pytes
     assert main(["manual"]) == 0
     page = capsys.readouterr().out
     assert page.startswith(".TH TISSUEID 1")
-    markdown = manual_markdown(app)
+    markdown = manual_markdown()
     for command in filter(None, words):
         assert f"tissueid {' '.join(command)}".replace("-", "\\-") in page
         assert f"\n## tissueid {' '.join(command)}\n" in markdown

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import subprocess
 import sys
 from pathlib import Path
 
@@ -95,3 +96,16 @@ def test_without_an_extra_one_line_names_the_command_that_installs_it(
     assert f"needs {package}, which is not installed" in line
     assert f"-m pip install 'tissueid[{extra}]'" in line
     assert [path.name for path in tmp_path.iterdir()] == ["one.h5"]
+
+
+def test_the_list_of_commands_imports_no_library_and_has_the_laboratory_even_if_that_is_imported_first():
+    code = """
+import sys, tissueid_lab.commands
+from tissueid.cli import main
+assert main(["--help"]) == 0
+heavy = {"numpy", "scipy", "h5py", "pydantic", "pandas", "matplotlib", "numba"}
+assert not heavy & {name.partition(".")[0] for name in sys.modules}
+assert main(["conformance", "--help"]) == 0
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stderr) == (0, "")

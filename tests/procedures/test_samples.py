@@ -11,7 +11,6 @@ from coded import coded
 
 from tissueid.cli import main
 from tissueid.cli.command_reference import all_commands
-from tissueid.cli.commands import app
 from tissueid.errors import UnusableInputError
 from tissueid.procedures import samples
 from tissueid.procedures.control import Control
@@ -21,7 +20,7 @@ from tissueid.sessions import read_session
 
 
 def test_every_plan_and_command_is_valid(tmp_path: Path):
-    commands = {" ".join(command.words): command for command in all_commands(app)}
+    commands = {" ".join(command.words): command for command in all_commands()}
     for name, sample in SAMPLES.items():
         TestPlan(url=sample.url, out=tmp_path / name, **sample.values).check()
         program, command, *words = sample.command.split()

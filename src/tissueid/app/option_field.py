@@ -6,10 +6,9 @@ import html
 import json
 import math
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal, Union, get_args, get_origin
 
-import annotated_types
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from PySide6.QtCore import SIGNAL, QEvent, QObject, Signal
@@ -30,7 +29,7 @@ from tissueid.app.number_field import NumberField, WholeNumberField
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
 from tissueid.language import _, decimal, marked
-from tissueid.plan_options import option_of
+from tissueid.plan_options import Bounds, bounds_of, option_of
 from tissueid.test_settings import Setting
 from tissueid.units import display_unit
 
@@ -221,9 +220,10 @@ class OptionField(QWidget):
             box.toggled.connect(self._tell)
             return box
         if kind is int or kind is float:
-            low, high, open_low, open_high = _bounds(info)
-            limits = declared.offered or (low, high)
-            return self._make_number(kind, limits, (open_low, open_high), unit, declared.step)
+            bounds = bounds_of(info)
+            if declared.offered:
+                bounds = bounds._replace(least=declared.offered[0], most=declared.offered[1])
+            return self._make_number(kind, bounds, unit, declared.step)
         line = build.styled(
             QLineEdit(), max_length=_LONGEST, placeholder_text="1, 2, 3" if get_origin(kind) is tuple else ""
         )
@@ -241,14 +241,17 @@ class OptionField(QWidget):
         combo.currentIndexChanged.connect(self._tell)
         return combo
 
-    def _make_number(
-        self, kind: type, limits: tuple[float, float], opened: tuple[bool, bool], unit: str, step: float
-    ) -> QSpinBox | QDoubleSpinBox:
+    def _make_number(self, kind: type, bounds: Bounds, unit: str, step: float) -> QSpinBox | QDoubleSpinBox:
         spin: QSpinBox | QDoubleSpinBox
+        opened = bounds.least_open, bounds.most_open
+        limits = (
+            -_UNBOUND if bounds.least is None else float(bounds.least),
+            _UNBOUND if bounds.most is None else float(bounds.most),
+        )
         if kind is int:
             whole = WholeNumberField()
-            low = math.ceil(max(limits[0], -_LARGEST)) + (opened[0] and float(limits[0]).is_integer())
-            high = math.floor(min(limits[1], _LARGEST)) - (opened[1] and float(limits[1]).is_integer())
+            low = math.ceil(max(limits[0], -_LARGEST)) + (opened[0] and limits[0].is_integer())
+            high = math.floor(min(limits[1], _LARGEST)) - (opened[1] and limits[1].is_integer())
             whole.setRange(low, high)
             whole.setValue(1)  # where "automatic" is taken away
             whole.valueChanged.connect(self._tell)
@@ -330,26 +333,6 @@ def _without_none(annotation: Any) -> tuple[Any, bool]:
         others = [kind for kind in get_args(annotation) if kind is not type(None)]
         return (others[0] if len(others) == 1 else object), len(others) < len(get_args(annotation))
     return annotation, False
-
-
-def _bounds(info: FieldInfo) -> tuple[float, float, bool, bool]:
-    """Return the bounds, and whether each is exclusive."""
-    low, high, open_low, open_high = -_UNBOUND, _UNBOUND, False, False
-    for rule in _rules(info):
-        if isinstance(rule, annotated_types.Ge):
-            low = float(rule.ge)  # type: ignore[arg-type]
-        elif isinstance(rule, annotated_types.Gt):
-            low, open_low = float(rule.gt), True  # type: ignore[arg-type]
-        elif isinstance(rule, annotated_types.Le):
-            high = float(rule.le)  # type: ignore[arg-type]
-        elif isinstance(rule, annotated_types.Lt):
-            high, open_high = float(rule.lt), True  # type: ignore[arg-type]
-    return low, high, open_low, open_high
-
-
-def _rules(info: FieldInfo) -> Iterator[object]:
-    for rule in info.metadata:
-        yield from rule if isinstance(rule, annotated_types.Interval) else (rule,)
 
 
 def _inside(limit: float, way: float) -> float:

@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 from typer.exceptions import Abort, TyperException
 from typer.main import get_group
 
-from tissueid.cli.commands import app
+from tissueid.cli.commands import loaded_app
 from tissueid.cli.streams import FLUSH_TIMEOUT_S, unblocked_streams
 
 INTERRUPTED = 130
@@ -87,7 +87,7 @@ def _failed(error: Exception) -> int:
 @cache
 def _commands() -> TyperGroup:
     # Typer analyses all signatures at every call, which takes longer than many commands.
-    return get_group(app)
+    return get_group(loaded_app())
 
 
 @contextmanager

@@ -5,12 +5,13 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 
-from tissueid.cli.commands import app
+from tissueid.cli.commands import loaded_app
 from tissueid.version import __version__
 
 
@@ -47,9 +48,10 @@ class CommandText:
         return " ".join(["tissueid", *self.words, *(["[OPTIONS]"] if self.options else []), *tail])
 
 
-def all_commands(app: typer.Typer) -> tuple[CommandText, ...]:
+@cache
+def all_commands() -> tuple[CommandText, ...]:
     """Return all commands: ``tissueid`` itself first, each group before its commands."""
-    group = typer.main.get_group(app)
+    group = typer.main.get_group(loaded_app())
     return tuple(_commands(group, (), typer.Context(group, info_name="tissueid")))
 
 
@@ -91,12 +93,12 @@ def print_completion(
     shell: Annotated[Literal["bash", "zsh", "fish"], typer.Argument(metavar="SHELL", help="bash, zsh or fish")],
 ) -> None:
     """Print the completion script of a shell."""
-    typer.echo(completion_script(shell, app), nl=False)
+    typer.echo(completion_script(shell), nl=False)
 
 
-def completion_script(shell: Literal["bash", "zsh", "fish"], app: typer.Typer) -> str:
-    """Return the completion script of a shell for the commands of ``app``."""
-    commands = {command.words: command for command in all_commands(app)}
+def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
+    """Return the completion script of a shell for all commands."""
+    commands = {command.words: command for command in all_commands()}
     return {"bash": _bash, "zsh": _zsh, "fish": _fish}[shell](commands)
 
 
@@ -219,12 +221,12 @@ def _first(text: str) -> str:
 
 def print_manual() -> None:
     """Print the manual page of all commands."""
-    typer.echo(manual_page(app), nl=False)
+    typer.echo(manual_page(), nl=False)
 
 
-def manual_page(app: typer.Typer) -> str:
-    """Return the manual page of the commands of ``app``, section 1, in the macros of man(7)."""
-    first, *others = all_commands(app)
+def manual_page() -> str:
+    """Return the manual page of all commands, section 1, in the macros of man(7)."""
+    first, *others = all_commands()
     lines = [
         f'.TH TISSUEID 1 "" "tissueid {__version__}" "User commands"',
         ".SH NAME",
@@ -253,10 +255,10 @@ def manual_page(app: typer.Typer) -> str:
     return "\n".join(lines) + "\n"
 
 
-def manual_markdown(app: typer.Typer) -> str:
-    """Return the reference of the commands of ``app`` as Markdown."""
+def manual_markdown() -> str:
+    """Return the reference of all commands as Markdown."""
     lines = ["# Commands", "", "Generated from the argument parsers. `tissueid COMMAND --help` prints the same.", ""]
-    for command in all_commands(app):
+    for command in all_commands():
         lines += [f"## {' '.join(('tissueid', *command.words))}", "", f"    {command.usage}", "", command.help, ""]
         rows = [(item.written, item.help) for item in (*command.arguments, *command.options)]
         if rows:

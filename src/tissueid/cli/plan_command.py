@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import operator
 import types
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import typer
 from pydantic.fields import FieldInfo
 
 from tissueid.cli.output import Output
-from tissueid.plan_options import Option, Plan, bounds_of, option_of
+from tissueid.plan_options import Bounds, Option, Plan, bounds_of, option_of
 
 _JSON_FILE = inspect.Parameter(
     "json_file",
@@ -68,15 +69,40 @@ def _options(plan: type[Plan]) -> dict[str, FieldInfo]:
 
 def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
     option = option_of(field) or Option()
-    least, most = (None if bound is None else _shown(bound, option) for bound in bounds_of(field))
-    names = (option.name,) if option.name else ()
+    bounds = bounds_of(field)
+    least, most = (None if bound is None else _shown(bound, option) for bound in bounds[:2])
+    values: dict[str, Any] = {"metavar": option.metavar, "help": option.help, "min": least, "max": most}
+    if bounds.least_open or bounds.most_open:  # typer has no exclusive bounds
+        shown = bounds._replace(least=least, most=most)
+        values |= {"min": None, "max": None, "callback": _check_of(shown)}
+        values["help"] += f" [{_range_text(shown)}]"
     kind: Any = _type(field.annotation, option)
-    if option.argument:
-        info = typer.Argument(metavar=option.metavar, help=option.help, min=least, max=most)
-    else:
-        info = typer.Option(*names, metavar=option.metavar, help=option.help, min=least, max=most)
+    info = typer.Argument(**values) if option.argument else typer.Option(*filter(None, [option.name]), **values)
     default = inspect.Parameter.empty if field.is_required() else _default(field, option)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info], default=default)
+
+
+def _range_text(bounds: Bounds) -> str:
+    """Return the range of values as typer shows that of inclusive bounds, such as "0.0<x<=15.0"."""
+    low, high = ("<" if is_open else "<=" for is_open in bounds[2:])
+    if bounds.least is None:
+        return f"x{high}{bounds.most}"
+    if bounds.most is None:
+        return f"x>{low[1:]}{bounds.least}"
+    return f"{bounds.least}{low}x{high}{bounds.most}"
+
+
+def _check_of(bounds: Bounds) -> Callable[[float | None], float | None]:
+    """Return a callback of an option that refuses values out of bounds."""
+    above, below = (operator.lt if is_open else operator.le for is_open in bounds[2:])
+
+    def check(value: float | None) -> float | None:
+        low = bounds.least is None or value is None or above(bounds.least, value)
+        if not low or not (bounds.most is None or value is None or below(value, bounds.most)):
+            raise typer.BadParameter(f"{value:g} is not in the range {_range_text(bounds)}")
+        return value
+
+    return check
 
 
 def _type(annotation: Any, option: Option) -> Any:
