@@ -71,6 +71,7 @@ class Setting(Option):
         usual: value that a form shows where the default leaves it to the stimulus.
         offered: bounds of a number in a form where they are narrower than those of the field.
         step: of a number in a form, which then has two decimals; 0 for a step that follows the value.
+        shown: the value as part of a condition, with the field "{value}"; "" for label and value.
     """
 
     only: tuple[ConfigurationName, ...] = ()
@@ -79,6 +80,7 @@ class Setting(Option):
     usual: Any = None
     offered: tuple[float, float] | None = None
     step: float = 0.0
+    shown: str = ""
 
 
 NOT_RECORDED = {None: marked("not recorded")}
@@ -95,7 +97,13 @@ class Circumstances(_Settings):
 
     minutes_since_application: Annotated[
         float | None,
-        Setting("--minutes-since", metavar="MIN", help="minutes since the product was applied", choices=NOT_RECORDED),
+        Setting(
+            "--minutes-since",
+            metavar="MIN",
+            help="minutes since the product was applied",
+            choices=NOT_RECORDED,
+            shown=marked("after {value:g} min"),
+        ),
         Field(title=marked("Minutes since the application"), ge=0.0, le=1e6, allow_inf_nan=False),
     ] = None
     orientation_deg: Annotated[
@@ -108,6 +116,7 @@ class Circumstances(_Settings):
             only=("extension",),
             choices=NOT_RECORDED | _ANGLES | _NAMED_ANGLES,
             compared=True,
+            shown="{value:g}°",
         ),
         Field(
             title=marked("Orientation"),
@@ -345,6 +354,18 @@ def setting_of(name: str) -> Setting:
 def label_of(name: str) -> str:
     """Return the label of a setting in a form, in English, with the mark of its key."""
     return _FIELDS[name].title or name
+
+
+COMPARED_CIRCUMSTANCES = tuple(name for name in Circumstances.model_fields if setting_of(name).compared)
+"""Names of the circumstances in which tests under one condition differ too much for one group."""
+
+
+def circumstance_text(name: str, value: Any) -> Message:
+    """Return a circumstance as part of a condition, such as "after 60 min"."""
+    if shown := setting_of(name).shown:
+        return Message("setting.circumstance", shown, value=value)
+    text = setting_of(name).choices.get(value, value)
+    return Message("setting.named", "{label}: {value}", label=label_of(name).replace("&", ""), value=text)
 
 
 class TestSettings(StimulusSettings, Circumstances, SetUp, Plan):

@@ -49,7 +49,7 @@ def test_options_not_given_have_the_defaults_of_the_plan():
 
 
 def test_values_are_read_into_the_units_of_the_plan():
-    given = "--out a --step 3 --load-kg 12.5 --seed 4 --weight 20 --weight 50 --ends 1:2 --quick --no-kept --json b --steps x,,y,"
+    given = "--out a --step 3 --load-kg 12.5 --seed 4 --weight 20 --weight 50 --ends 1:2 --quick --no-kept"
     plan = Walk(
         out=Path("a"),
         step_m=3e-3,
@@ -61,7 +61,7 @@ def test_values_are_read_into_the_units_of_the_plan():
         kept=False,
         steps=("x", "y"),
     )
-    assert run(given.split()) == (plan, Path("b"))
+    assert run([*given.split(), "--json", "b", "--steps", "x,,y,"]) == (plan, Path("b"))
 
 
 def test_help_has_defaults_and_bounds_in_the_units_of_the_command_line(capsys: pytest.CaptureFixture[str]):

@@ -320,6 +320,13 @@ def test_a_subgroup_of_the_subjects_is_reported(folder, run, tmp_path):
     assert set(found.run.table["subject"]) == {"P-1"}
     assert found.statistics.as_answer()["subjects"] == 1
     assert "age_years=20:22" in found.page.read_text(encoding="utf-8")
+    assert found.as_answer()["subgroup"] == ("gender=female", "age_years=20:22")
+    at_leg = report_study(plan.model_copy(update={"engine": "depth", "only": ("gender=male", "site=leg")}), Control())
+    assert set(at_leg.run.table["site"]) == {"leg"}
+    tables = [rows for rows in at_leg.statistics.tables.values() if "site" in rows and len(rows)]
+    assert tables
+    assert all(set(rows["site"]) == {"leg"} for rows in tables)
+    assert at_leg.statistics.as_answer()["subjects"] == SUBJECTS / 2
     for condition, code in (
         ("gender", "study.subgroup"),
         ("shoe=38", "study.subgroup"),

@@ -17,12 +17,11 @@ from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.number_field import OptionalNumberField
 from tissueid.app.session_jobs import find
 from tissueid.app.views.clinician.sitting import NORM, Repeat, repeat_of
-from tissueid.app.views.clinician.study_card import condition_words
 from tissueid.app.window_state import keep_visited_study
 from tissueid.app.words import in_words
 from tissueid.atomic_write import private_folder
 from tissueid.errors import UnusableInputError
-from tissueid.language import _
+from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.study_protocol import SittingStep
 from tissueid.procedures.study_sitting import SittingState, open_sitting
@@ -306,9 +305,10 @@ def _next_words(before: SittingStep | None, step: SittingStep) -> str:
     else:
         said = Message("study.stay", "Same site again: {site}, test {repeat} of {count}.", **names)
     words = [translated(said)]
-    if condition_words(step.condition) != ("" if before is None else condition_words(before.condition)):
-        condition = condition_words(step.condition) or _("without product")
-        words.append(translated(Message("study.now", "Condition: {condition}.", condition=Verbatim(condition))))
+    condition = step.condition.text
+    if condition != ("" if before is None else before.condition.text):
+        said = Message("study.now", "Condition: {condition}.", condition=condition or marked("without product"))
+        words.append(translated(said))
     return " ".join(words)
 
 

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
-import pandas as pd
-
-from tissueid.cli.output import (
-    ConsoleControl,
-    Output,
-    progress_bars,
-    table,
-)
+from tissueid.cli.output import ConsoleControl, Output, progress_bars, table
 from tissueid.cli.stop_key import StopKey, stop_key
 from tissueid.formatting import axis_label, label_and_unit, number
 from tissueid.messages import MISSING
@@ -21,7 +15,7 @@ from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.study_demo import PopulationPlan, run_population
 from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
-from tissueid.procedures.study_protocol import PROTOCOL_FILE, Condition, sitting_steps
+from tissueid.procedures.study_protocol import PROTOCOL_FILE, sitting_steps
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.study_run import StudyRun, run_study
 from tissueid.procedures.study_sitting import (
@@ -32,11 +26,10 @@ from tissueid.procedures.study_sitting import (
     run_sitting,
     write_protocol,
 )
-from tissueid.studies.repeatability import variation_by_condition
-from tissueid.studies.study_statistics import study_statistics
-from tissueid.studies.study_table import as_json_rows
-from tissueid.studies.usable_tests import parameters_used, usable_tests
 from tissueid.units import display_unit
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def print_run(plan: StudyPlan, out: Output) -> None:
@@ -47,7 +40,7 @@ def print_run(plan: StudyPlan, out: Output) -> None:
     """
     run = out.run(run_study, plan)
     _print_counts(run, out)
-    out.write_json(_answer(run) | {"rows": as_json_rows(run.table)})
+    _write_answer(run, run.table, out)
 
 
 def print_table(plan: StudyPlan, out: Output) -> None:
@@ -57,6 +50,9 @@ def print_table(plan: StudyPlan, out: Output) -> None:
         UnusableInputError: the folder or an option cannot be used.
     """
     run = out.run(run_study, plan)
+    from tissueid.studies.repeatability import variation_by_condition  # imports pandas, after it was checked
+    from tissueid.studies.usable_tests import parameters_used, usable_tests
+
     used = usable_tests(run.table).used
     rows = variation_by_condition(used, parameters_used(used, []))
     several = not rows.empty and rows["condition"].nunique() > 1
@@ -72,7 +68,7 @@ def print_table(plan: StudyPlan, out: Output) -> None:
         shown.add_row(*place, name, str(row["subjects"]), str(row["tests"]), *cells)
     out.print(shown)
     _print_counts(run, out)
-    out.write_json(_answer(run) | {"rows": as_json_rows(rows)})
+    _write_answer(run, rows, out)
 
 
 def print_report(plan: StudyReportPlan, out: Output) -> None:
@@ -105,8 +101,11 @@ def _print_report(found: StudyReport, out: Output) -> None:
     out.write_json(found.as_answer())
 
 
-def _answer(run: StudyRun) -> dict[str, Any]:
-    return run.as_answer() | study_statistics(run.table).as_answer()
+def _write_answer(run: StudyRun, rows: pd.DataFrame, out: Output) -> None:
+    from tissueid.studies.study_statistics import study_statistics
+    from tissueid.studies.study_table import as_json_rows
+
+    out.write_json(run.as_answer() | study_statistics(run.table).as_answer() | {"rows": as_json_rows(rows)})
 
 
 def _print_counts(run: StudyRun, out: Output) -> None:
@@ -118,11 +117,11 @@ def _print_counts(run: StudyRun, out: Output) -> None:
 
 
 def _text(value: float, factor: float) -> str:
-    return MISSING if pd.isna(value) else number(value * factor, 4)
+    return MISSING if math.isnan(value) else number(value * factor, 4)
 
 
 def _percent(share: float) -> str:
-    return MISSING if pd.isna(share) else f"{share:.1%}"
+    return MISSING if math.isnan(share) else f"{share:.1%}"
 
 
 def print_protocol(plan: ProtocolPlan, out: Output) -> None:
@@ -139,7 +138,7 @@ def print_protocol(plan: ProtocolPlan, out: Output) -> None:
     shown = table(f"{protocol.name}: {len(steps)} tests for each subject, order {order}", "Site", "Condition", "Tests")
     for step in steps:
         if step.repeat == 1:
-            shown.add_row(step.site, condition_text(step.condition), str(step.repeats))
+            shown.add_row(step.site, step.condition.text or MISSING, str(step.repeats))
     out.print(shown)
     out.print(f"asks for: {', '.join(protocol.demographics) or 'nothing'}", soft_wrap=True)
     out.write_json({"protocol": protocol.model_dump(mode="json"), "written": written, "tests": len(steps)})
@@ -162,16 +161,6 @@ def print_sitting(plan: SittingRunPlan, out: Output) -> None:
         raise
     _print_state(state, out)
     out.write_json(_sitting_answer(state))
-
-
-def condition_text(condition: Condition) -> str:
-    """Return a condition in one line."""
-    words = [condition.product] if condition.product else []
-    if condition.minutes_since_application is not None:
-        words.append(f"after {condition.minutes_since_application:g} min")
-    if condition.orientation_deg is not None:
-        words.append(f"{condition.orientation_deg:g}°")
-    return ", ".join(words) or MISSING
 
 
 class _SittingControl(ConsoleControl):

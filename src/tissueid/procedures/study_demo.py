@@ -24,7 +24,6 @@ from tissueid.procedures.output_files import json_text, stored_values, write_tex
 from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.test_plan import TestPlan
-from tissueid.procedures.test_run import TestControl, run_test
 from tissueid.sessions.file_policy import journal_path
 from tissueid.twin.chain_parameters import Tissue
 
@@ -239,6 +238,8 @@ def measure_series(plan: PopulationPlan, series: Series) -> Path:
     Raises:
         UnusableInputError: the session cannot be written.
     """
+    from tissueid.procedures.test_run import TestControl, run_test  # takes long to import
+
     variation: float | None = None
     if series.site in MATERIALS:
         tissue, repeats = MATERIALS[series.site], MATERIAL_TESTS

@@ -67,7 +67,7 @@ class StudyReportPlan(StudyPlan):
         Option(
             "--only",
             metavar="NAME=VALUE",
-            help="only subjects with this value, such as gender=male or age_years=18:28; may be repeated",
+            help="only subjects with this value, such as gender=male, age_years=18:28 or site=...; may be repeated",
         ),
     ] = ()
     before: Annotated[

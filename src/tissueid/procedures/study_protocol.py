@@ -35,7 +35,7 @@ from tissueid.procedures.pseudonyms import reads_like_name
 from tissueid.procedures.study_plans import RESULTS
 from tissueid.procedures.test_plan import MAX_TEXT, TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
-from tissueid.test_settings import SECONDS, Circumstances, SetUp
+from tissueid.test_settings import SECONDS, Circumstances, SetUp, circumstance_text
 from tissueid.untrusted_input import json_value
 
 PROTOCOL_FILE = "protocol.json"
@@ -68,6 +68,13 @@ class Condition(Circumstances):
     """What is tested: product ("" without one), and its circumstances."""
 
     product: _Line = ""
+
+    @property
+    def text(self) -> str:
+        """The condition in one line; "" for none."""
+        parts: list[str] = [Verbatim(self.product)] if self.product else []
+        given = {name: value for name in Circumstances.model_fields if (value := getattr(self, name)) is not None}
+        return joined([*parts, *(circumstance_text(name, value) for name, value in given.items())])
 
 
 def _site(given: Any) -> Any:
@@ -255,12 +262,9 @@ def _rank(seed: int, subject: str, condition: Condition, site: Site) -> str:
 
 def _planned(protocol: Protocol, given: Condition) -> Condition | None:
     """Return the condition of the protocol to which a test belongs; None where it belongs to none."""
-    same = [
-        one
-        for one in protocol.conditions
-        if one.product == given.product and one.orientation_deg == given.orientation_deg
-    ]
     minutes = given.minutes_since_application
+    at_minutes = {"minutes_since_application": minutes}
+    same = [one for one in protocol.conditions if one.model_copy(update=at_minutes) == given]
     if minutes is None:
         return same[0] if same else None
     return min(same, key=lambda one: abs((one.minutes_since_application or 0.0) - minutes), default=None)

@@ -28,16 +28,17 @@ _COMPUTING = marked("Computing statistics")
 
 @dataclass(frozen=True)
 class StudyReport:
-    """A study with its statistics, and the page."""
+    """A study with its statistics, and the page; of the subjects that meet the conditions of ``subgroup``."""
 
     run: StudyRun
     statistics: StudyStatistics
     page: Path
     pdf: Path | None
+    subgroup: tuple[str, ...] = ()
 
     def as_answer(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
-        return self.run.as_answer() | self.statistics.as_answer()
+        return self.run.as_answer() | {"subgroup": self.subgroup} | self.statistics.as_answer()
 
 
 def study_name(folder: Path) -> str:
@@ -86,7 +87,7 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
         with writing(plan.pdf):
             write_study_pdf(plan.pdf, name, plan.engine, found, run.failures)
     control.progress(1.0, _COMPUTING)
-    return StudyReport(run, found, page, plan.pdf)
+    return StudyReport(run, found, page, plan.pdf, plan.only)
 
 
 def _check_names(plan: StudyReportPlan, table: pd.DataFrame) -> None:

@@ -70,7 +70,6 @@ class _StoredRow(BaseModel):
     site: str
     condition: str
     configuration: str
-    orientation_deg: str | float | None
     simulated: bool
     status: str
     quality: str

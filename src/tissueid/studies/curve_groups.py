@@ -19,6 +19,7 @@ from tissueid.analysis.curves.samples import DAMPING, GRIDS, KERNEL1, KERNEL2, M
 from tissueid.atomic_write import atomic_file
 from tissueid.studies.repeatability import CONFIDENCE
 from tissueid.studies.study_table import MATERIAL, NO_CONDITION
+from tissueid.test_settings import COMPARED_CIRCUMSTANCES, setting_of
 
 COLUMNS = ("session", "test", "curve", "direction", "first", "value")
 """Columns of the table: ``curve`` is the name, ``first`` the first point on the grid, ``value`` an array (k,)."""
@@ -138,7 +139,7 @@ class GroupCurve:
 
 
 def group_labels(tests: pd.DataFrame, by: By) -> pd.Series:
-    """Return the group of each test: site, condition at a site, or material, and orientation where there are several.
+    """Return the group of each test: site, condition at a site, or material, and circumstances where there are several.
 
     Args:
         tests: tests that count, with the columns of a study table.
@@ -148,9 +149,10 @@ def group_labels(tests: pd.DataFrame, by: By) -> pd.Series:
     if by == "condition":
         named = tests["condition"].astype(str).replace("", NO_CONDITION)
         labels = named if labels.nunique() == 1 else labels + "; " + named
-    if "orientation_deg" in tests and (angle := tests["orientation_deg"].astype(float)).nunique() > 1:
-        turned = labels + angle.map(lambda value: f", {value:g}°")
-        labels = labels.where(angle.isna(), turned)
+    for name in COMPARED_CIRCUMSTANCES:
+        if name in tests and tests[name].nunique() > 1:
+            shown = f", {setting_of(name).shown or '{value}'}"
+            labels = labels + [shown.format(value=value) if pd.notna(value) else "" for value in tests[name]]
     return labels
 
 

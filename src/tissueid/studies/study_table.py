@@ -13,8 +13,8 @@ from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import cell_text, clean, label_and_unit
 from tissueid.language import marked
-from tissueid.messages import MISSING, Listing, Verbatim, joined
-from tissueid.test_settings import NUMBERS, PROPERTIES
+from tissueid.messages import Listing, Verbatim, joined
+from tissueid.test_settings import COMPARED_CIRCUMSTANCES, NUMBERS, PROPERTIES, Circumstances
 
 KEYS = (
     "session",
@@ -24,7 +24,7 @@ KEYS = (
     "subject",
     "site",
     "condition",
-    "minutes_since_application",
+    *(name for name in Circumstances.model_fields if name not in COMPARED_CIRCUMSTANCES),
     "repeat",
 )
 DESCRIPTION = (
@@ -92,8 +92,8 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
         return pd.DataFrame(columns=[*KEYS, *DESCRIPTION])
     table = _uniform(table)
     table = table.sort_values(["created", "session", "test"], kind="stable").reset_index(drop=True)
-    same = ["subject", "site", "condition", "configuration", "orientation_deg", "engine"]
-    order = table[counting(table)].groupby(same, dropna=False).cumcount() + 1
+    same = ["subject", "site", "condition", "configuration", *COMPARED_CIRCUMSTANCES, "engine"]
+    order = table[counting(table)].groupby([name for name in same if name in table], dropna=False).cumcount() + 1
     table["repeat"] = order.reindex(table.index).astype("Int64")
     if subjects is not None:
         table = _with_subjects(table, subjects)
@@ -149,7 +149,7 @@ def subject_columns(table: pd.DataFrame) -> list[str]:
 
 
 def subgroup(table: pd.DataFrame, conditions: Sequence[str]) -> pd.DataFrame:
-    """Return the tests of the subjects that meet all conditions; those of samples stay.
+    """Return the tests of the subjects, or at the sites, that meet all conditions; those of samples stay.
 
     Args:
         table: of the study.
@@ -160,13 +160,13 @@ def subgroup(table: pd.DataFrame, conditions: Sequence[str]) -> pd.DataFrame:
     """
     for condition in conditions:
         name, equals, value = condition.partition("=")
-        known = subject_columns(table)
+        known = [*subject_columns(table), "site"]
         if not equals or name not in known:
             raise UnusableInputError(
                 "study.subgroup",
                 "{condition}: give NAME=VALUE or NAME=LOW:HIGH with one of {known}",
                 condition=Verbatim(clean(condition)[:_SHOWN]),
-                known=joined(map(Verbatim, known)) or MISSING,
+                known=joined(map(Verbatim, known)),
             )
         try:
             low, high = (float(edge) for edge in value.split(":")) if ":" in value else (float(value), float(value))

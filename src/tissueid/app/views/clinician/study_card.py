@@ -15,8 +15,8 @@ from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, Side, Sp
 from tissueid.app.widgets import ElidedLabel
 from tissueid.formatting import clean
 from tissueid.language import _
-from tissueid.messages import Message, Verbatim, joined, translated
-from tissueid.procedures.study_protocol import Condition, finished_sites
+from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.study_protocol import finished_sites
 from tissueid.procedures.study_sitting import SittingState
 
 _SIDES: tuple[Side, ...] = ("front", "back")
@@ -105,16 +105,6 @@ _BUTTONS_IN_A_ROW = 250
 """Width from which the buttons are in one row, pixels."""
 
 
-def condition_words(condition: Condition) -> str:
-    """Return a condition in a line; "" for none."""
-    words: list[str] = [Verbatim(condition.product)] if condition.product else []
-    if condition.minutes_since_application is not None:
-        words.append(Message("study.after", "after {minutes:g} min", minutes=condition.minutes_since_application))
-    if condition.orientation_deg is not None:
-        words.append(Verbatim(f"{condition.orientation_deg:g}°"))
-    return translated(joined(words)) if words else ""
-
-
 class StudyCard(QFrame):
     """Hidden without a study. Its buttons ask for the subject's data, a photograph, or the end of the sitting."""
 
@@ -158,7 +148,7 @@ class StudyCard(QFrame):
                 Message("study.place", "{place} of {total}", place=step.place, total=step.total),
                 Verbatim(clean(step.site)),
                 Message("study.repeat", "Test {repeat} of {count} here", repeat=step.repeat, count=step.repeats),
-                Verbatim(condition_words(step.condition)),
+                step.condition.text,
                 _("Again: the last test does not count.")
                 if step.attempt > 1
                 else _("Move the probe to this site.")
