@@ -15,7 +15,7 @@ from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.acquisition.stimulus_choice import save_stimulus
 from tissueid.cli import main
-from tissueid.cli.test_summary import answer_of
+from tissueid.cli.test import answer_of
 from tissueid.procedures import test_run
 from tissueid.sessions import read_session
 from tissueid.stimuli import get_stimulus

@@ -20,8 +20,7 @@ def print_verification(plan: VerifyLogPlan, out: Output) -> None:
     """
     verified = verify_log(plan)
     path, result = verified.path, verified.result
-    for remark in verified.remarks:
-        out.print(remark, soft_wrap=True)
+    out.print_lines(verified.remarks, soft_wrap=True)
     out.write_json(_answer(verified))
     if result.broken is not None:
         raise UnusableInputError(f"{path}: {result.broken.words}")
@@ -42,14 +41,14 @@ def print_lines(plan: LogPlan, out: Output) -> None:
     path, lines = newest_lines(plan)
     out.write_json([fields_of(line) for line in lines])
     out.widen(160)
-    rows = table(str(path), "line", "time", "role", "who", "what", "subject", "old", "new")
-    for column in rows.columns[1:]:
-        column.justify = "left"
-    for line in lines:
-        cells = (line.time, line.role, line.who, line.what, line.subject, _short(line.old), _short(line.new))
-        rows.add_row(str(line.number), *(_printable(cell) for cell in cells))
-    if not out.json_on_stdout:
-        out.print(rows)
+    if out.json_on_stdout:
+        return
+    shown = (
+        (str(line.number), line.time, line.role, line.who, line.what, line.subject, _short(line.old), _short(line.new))
+        for line in lines
+    )
+    columns = ("line", "time", "role", "who", "what", "subject", "old", "new")
+    out.print(table(str(path), *columns, rows=(map(_printable, row) for row in shown), left=True))
 
 
 def _answer(verified: VerifiedLog) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -13,17 +14,11 @@ import numpy as np
 from rich.live import Live
 from rich.text import Text
 
+from tissueid.calibration.file import Calibration
 from tissueid.calibration.labels import headline_of, notes_of, readable
 from tissueid.calibration.store import calibration_folder, is_in_calibration_folder
 from tissueid.calibration.sweep_analysis import SweepResult
-from tissueid.cli.output import (
-    ConsoleControl,
-    Output,
-    at_terminal,
-    console,
-    progress_bars,
-    table,
-)
+from tissueid.cli.output import ConsoleControl, Output, at_terminal, console, progress_bars, table
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, plus_minus
 from tissueid.messages import stored
@@ -35,7 +30,7 @@ from tissueid.procedures.calibration_files import (
     listed_calibrations,
     saved_calibration,
 )
-from tissueid.procedures.calibration_plans import CalibrationPlan, DynamicSweepPlan, StaticCalibrationPlan
+from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
 from tissueid.procedures.calibration_runs import run_static_calibration, run_sweep
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
@@ -89,15 +84,6 @@ def terminal_control() -> Iterator[TerminalControl]:
             control.instruct("")
 
 
-def check_outputs(plan: CalibrationPlan, out: Output) -> None:
-    """Check the JSON file against the files of the plan.
-
-    Raises:
-        UnusableInputError: it cannot be written, or is named for two outputs.
-    """
-    check_different(*plan.outputs, out.json_file)
-
-
 def answer(result: CalibrationResult) -> dict[str, Any]:
     """Return the result for JSON: all values in SI units, and the verdict."""
     calibration = result.calibration
@@ -119,17 +105,14 @@ def answer(result: CalibrationResult) -> dict[str, Any]:
 def print_verdict(out: Output, result: CalibrationResult) -> None:
     """Print verdict, problems, notes and files, and what to do if tests will not find the calibration."""
     out.print(headline_of(result.calibration))
-    for problem in result.calibration.problems:
-        out.print(f"- {problem}", soft_wrap=True)
-    for note in result.notes:
-        out.print(f"note: {note}", soft_wrap=True)
-    out.print(f"calibration: {result.path}", soft_wrap=True)
+    out.print_lines((f"- {problem}" for problem in result.calibration.problems), soft_wrap=True)
+    out.print_lines((f"note: {note}" for note in result.notes), soft_wrap=True)
+    out.print_files(calibration=result.path)
     if not is_in_calibration_folder(result.path):
         folder = calibration_folder()
         where = "name its folder by --calibrations" if folder is None else f"copy it to {folder}"
         out.print(f"Tests do not find it there: {where}, or leave out --out.", soft_wrap=True)
-    if result.session is not None:
-        out.print(f"session: {result.session}", soft_wrap=True)
+    out.print_files(session=result.session)
 
 
 def check_result(result: CalibrationResult, out: Path | None) -> None:
@@ -163,17 +146,19 @@ def print_static_calibration(plan: StaticCalibrationPlan, out: Output) -> None:
     Raises:
         UnusableInputError: an option cannot be used, or the calibration failed.
     """
-    check_outputs(plan, out)
+    check_different(*plan.outputs, out.json_file)
     with terminal_control() as control:
         result = run_static_calibration(plan, control, audit_trail("technician"))
     out.widen(120)
-    rows = table(f"Static calibration of {result.calibration.serial_number}", "quantity", "value", "unit")
-    for name, quantity in result.calibration.quantities.items():
-        rows.add_row(*readable(name, quantity))
-    out.print(rows)
+    _print_quantities(out, f"Static calibration of {result.calibration.serial_number}", result.calibration)
     print_verdict(out, result)
     out.write_json(answer(result) | {"seconds": result.seconds})
     check_result(result, plan.out)
+
+
+def _print_quantities(out: Output, title: str, calibration: Calibration) -> None:
+    rows = itertools.starmap(readable, calibration.quantities.items())
+    out.print(table(title, "quantity", "value", "unit", rows=rows))
 
 
 def print_sweep(plan: DynamicSweepPlan, out: Output) -> None:
@@ -182,7 +167,7 @@ def print_sweep(plan: DynamicSweepPlan, out: Output) -> None:
     Raises:
         UnusableInputError: an option cannot be used, or the calibration failed.
     """
-    check_outputs(plan, out)
+    check_different(*plan.outputs, out.json_file)
     begin = time.perf_counter()
     with terminal_control() as control:
         result = run_sweep(plan, control, audit_trail("technician"))
@@ -234,9 +219,7 @@ def print_calibrations(plan: CalibrationListPlan, out: Output) -> None:
     """
     folder, listed = listed_calibrations(plan)
     out.widen(120)
-    rows = table(f"Calibrations in {folder}", "file", "serial number", "kind", "date", "status")
-    for column in rows.columns:
-        column.justify = "left"
+    rows = table(f"Calibrations in {folder}", "file", "serial number", "kind", "date", "status", left=True)
     for item in listed:
         found, words = item.calibration, item.status.words
         cells = ("", "", "") if found is None else (found.serial_number, found.kind, found.date[:10])
@@ -244,7 +227,7 @@ def print_calibrations(plan: CalibrationListPlan, out: Output) -> None:
     if folder is None:
         out.print(
             "there are no calibrations yet: run 'tissueid calibrate static', or choose another folder by "
-            "--calibrations DIR",
+            "--calibrations DIR"
         )
     elif not listed:
         out.print(f"there are no calibrations in {folder}", soft_wrap=True)
@@ -255,14 +238,11 @@ def print_calibrations(plan: CalibrationListPlan, out: Output) -> None:
 
 
 def _answer(item: ListedCalibration) -> dict[str, object]:
-    found, status = item.calibration, item.status
+    status = item.status
+    about = ("serial_number", "model", "kind", "date", "verdict")
     return {
         "file": str(item.path),
-        "serial_number": found.serial_number if found else None,
-        "model": found.model if found else None,
-        "kind": found.kind if found else None,
-        "date": found.date if found else None,
-        "verdict": found.verdict if found else None,
+        **{name: getattr(item.calibration, name, None) for name in about},
         "state": status.state,
         "words": status.words,
         "message": stored(status.words),
@@ -283,11 +263,7 @@ def print_calibration(plan: ShowCalibrationPlan, out: Output) -> None:
         f"by {calibration.software}",
         soft_wrap=True,
     )
-    rows = table("", "quantity", "value", "unit")
-    for name, quantity in calibration.quantities.items():
-        rows.add_row(*readable(name, quantity))
-    out.print(rows)
+    _print_quantities(out, "", calibration)
     out.print(headline_of(calibration))
-    for line in (*calibration.problems, *notes_of(calibration)):
-        out.print(f"- {line}", soft_wrap=True)
+    out.print_lines((f"- {line}" for line in (*calibration.problems, *notes_of(calibration))), soft_wrap=True)
     out.write_json(calibration.model_dump(mode="json"))

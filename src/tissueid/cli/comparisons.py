@@ -33,24 +33,18 @@ def compare_session(plan: ComparePlan, out: Output) -> None:
     found = compared.found
     _print_result(found, compared.no_ceiling, out)
     warned = list(repeat_warnings(compared.session, found.split.tests))
-    for line in warned:
-        out.print(line)
-    if line := _distortion(compared.session, found):
-        out.print(line)
+    out.print_lines(filter(None, [*warned, _distortion(compared.session, found)]))
     out.write_json(compare_answer(found) | {"quality_warnings": warned})
-    if plan.page is not None:
-        out.print(f"report: {plan.page}")
-    if plan.figures is not None:
-        out.print(f"figures: {plan.figures}")
-        if left := _unrelated_pictures(plan.figures, compared.figures):
-            out.print(left)
+    out.print_files(report=plan.page, figures=plan.figures)
+    if plan.figures is not None and (others := _unrelated_pictures(plan.figures, compared.figures)):
+        out.print(others)
 
 
 def _unrelated_pictures(folder: Path, drawn: Sequence[Path]) -> str:
     """Return which pictures in the folder are not of this comparison as a sentence; no file is ever removed."""
     written = {path.name for path in drawn}
-    others = sorted(path.name for path in folder.iterdir() if path.suffix in (".svg", ".png"))
-    others = [name for name in others if name not in written]
+    pictures = sorted(path.name for path in folder.iterdir() if path.suffix in (".svg", ".png"))
+    others = [name for name in pictures if name not in written]
     if not others:
         return ""
     names = ", ".join(others[:_MOST_NAMES]) + (", …" if len(others) > _MOST_NAMES else "")
@@ -90,20 +84,21 @@ def compare_answer(found: EngineComparison) -> dict[str, Any]:
 
 
 def _entry_answer(entry: ComparisonEntry) -> dict[str, Any]:
-    about = {"engine": entry.engine, "family": str(entry.family), "interpretability": entry.family.interpretability}
-    if entry.scored is None:
-        return about | {"refused": entry.refused, "refused_message": stored(entry.refused)}
-    return (
-        entry.scored.analysis.as_answer()
-        | about
-        | {
-            "refused": None,
-            "refused_message": None,
-            "effective_parameters": entry.scored.parameters,
-            "n_samples_compared": entry.scored.n_fitted,
-            "shares_samples": not entry.scored.own_samples,
-        }
-    )
+    about = {
+        "engine": entry.engine,
+        "family": str(entry.family),
+        "interpretability": entry.family.interpretability,
+        "refused": entry.refused,
+        "refused_message": stored(entry.refused),
+    }
+    if (scored := entry.scored) is None:
+        return about
+    compared = {
+        "effective_parameters": scored.parameters,
+        "n_samples_compared": scored.n_fitted,
+        "shares_samples": not scored.own_samples,
+    }
+    return scored.analysis.as_answer() | about | compared
 
 
 def _sweep_answer(row: SweepRow) -> dict[str, Any]:
@@ -131,17 +126,14 @@ def _print_result(found: EngineComparison, no_ceiling: str, out: Output) -> None
             f"No model can exceed {best} % on held-out samples: "
             f"this is the agreement of {found.ceiling.repeats} repeats."
         )
-        for line in found.ceiling.left_out:
-            out.print(f"  {line[:1].upper()}{line[1:]}.")
+        out.print_lines(f"  {line[:1].upper()}{line[1:]}." for line in found.ceiling.left_out)
     elif no_ceiling:
         out.print(f"The limit set by repeats is not known: {no_ceiling}.")
-    for note, place in notes.items():
-        out.print(f"  {place}. {note}")
+    out.print_lines(f"  {place}. {note}" for note, place in notes.items())
     if found.memory_sweep:
         out.print(_sweep_table(found.memory_sweep))
     out.print()
-    for line in _recommendation_lines(found.recommendation):
-        out.print(line)
+    out.print_lines(_recommendation_lines(found.recommendation))
 
 
 def _score_table(found: EngineComparison, notes: dict[str, int]) -> Table:
@@ -210,17 +202,8 @@ def overlay_tests(plan: OverlayPlan, out: Output) -> None:
     done = out.run(run_overlay, plan)
     found = done.found
     out.widen(120)
-    columns = (
-        "tests",
-        "fit",
-        "fitted\nVAF %",
-        "held out\nVAF %",
-        "scheduled\nVAF %",
-        "AICc",
-        "para-\nmeters",
-        "sec-\nonds",
-    )
-    rows = table("Scores", *columns)
+    columns = ("fitted\nVAF %", "held out\nVAF %", "scheduled\nVAF %", "AICc", "para-\nmeters", "sec-\nonds")
+    rows = table("Scores", "tests", "fit", *columns)
     for entry in found.entries:
         report = entry.analysis.model.report
         criterion = report.aicc if entry.scheduled_aicc is None else entry.scheduled_aicc
@@ -235,11 +218,8 @@ def overlay_tests(plan: OverlayPlan, out: Output) -> None:
             fixed(report.seconds, 2),
         )
     out.print(rows)
-    for line in found.refused:
-        out.print(f"left out: {line}", soft_wrap=True)
-    for name, path in (("report", plan.page), ("figures", plan.figures), ("numbers", plan.csv)):
-        if path is not None:
-            out.print(f"{name}: {path}")
+    out.print_lines((f"left out: {line}" for line in found.refused), soft_wrap=True)
+    out.print_files(report=plan.page, figures=plan.figures, numbers=plan.csv)
     out.write_json({"fits": [_overlaid_answer(found, entry) for entry in found.entries], **_refused(found)})
 
 
@@ -267,10 +247,8 @@ def repeated_tests(plan: RepeatsPlan, out: Output) -> None:
             MISSING if single else fixed(100.0 * one.cv, 2),
         )
     out.print(rows)
-    for line in found.refused:
-        out.print(f"left out: {line}", soft_wrap=True)
-    if plan.csv is not None:
-        out.print(f"table: {plan.csv}")
+    out.print_lines((f"left out: {line}" for line in found.refused), soft_wrap=True)
+    out.print_files(table=plan.csv)
     names = ("source", "fit", "quantity", "count", "mean", "std", "cv")
     answer = [{name: getattr(one, name) for name in names} for one in values]
     out.write_json({"repeats": answer, **_refused(found)})

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tissueid.analysis import Analysis
-from tissueid.cli.output import (
-    Output,
-    table,
-)
+from tissueid.cli.output import Output, table
 from tissueid.cli.saved_tests import readable
 from tissueid.procedures.demo import DemoPlan, run_demo
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.records import Estimate
 from tissueid.reports import ComparisonTable
-
-if TYPE_CHECKING:
-    pass
 
 
 def demonstrate(plan: DemoPlan, out: Output) -> None:
@@ -28,20 +21,19 @@ def demonstrate(plan: DemoPlan, out: Output) -> None:
 
 
 def _print_demo(page: Path, main: dict[str, Analysis], comparison: ComparisonTable, out: Output) -> None:
-    rows = table("Main test", "engine", "VAF fitted %", "VAF held out %", "seconds")
-    for engine, analysis in main.items():
-        report = analysis.model.report
-        rows.add_row(
-            engine, f"{report.vaf_percent:.1f}", f"{report.vaf_validation_percent:.1f}", f"{report.seconds:.2f}"
-        )
-    out.print(rows)
+    reports = {engine: analysis.model.report for engine, analysis in main.items()}
+    rows = [
+        (engine, f"{report.vaf_percent:.1f}", f"{report.vaf_validation_percent:.1f}", f"{report.seconds:.2f}")
+        for engine, report in reports.items()
+    ]
+    out.print(table("Main test", "engine", "VAF fitted %", "VAF held out %", "seconds", rows=rows))
     title = f"Small-amplitude test at {comparison.position_m * 1e3:.2f} mm, against the local values of the plant"
-    rows = table(title, "quantity", "estimate", "plant", "error %", "main test", "unit")
+    quantities = table(title, "quantity", "estimate", "plant", "error %", "main test", "unit")
     for row in comparison.rows:
         label, small, unit = readable(row.quantity, row.small)
         _, plant, _ = readable(row.quantity, Estimate(row.truth))
         _, large, _ = readable(row.quantity, row.large)
         error = 100.0 * (row.small.value / row.truth - 1.0)
-        rows.add_row(label, small, plant, f"{error:+.1f}", large, unit)
-    out.print(rows)
+        quantities.add_row(label, small, plant, f"{error:+.1f}", large, unit)
+    out.print(quantities)
     out.print(f"open {page} in a browser. Research use only.")

@@ -10,17 +10,11 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from tissueid.cli.output import (
-    Output,
-    at_terminal,
-    console,
-    table,
-)
+from tissueid.cli.output import Output, at_terminal, console, table
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.formatting import number
 from tissueid.gap import Diagnosis, as_answer
 from tissueid.gap.statement import (
-    GapHistory,
     GapHistoryEntry,
     alternatives_of,
     headline_of,
@@ -54,17 +48,14 @@ def run_diagnose(plan: DiagnosisPlan, out: Output) -> None:
     trail = audit_trail()
     diagnosed = out.run(diagnose_session, plan)
     found = diagnosed.found
-    for line in summary_lines(found):
-        out.print(line)
+    out.print_lines(summary_lines(found))
     if ordered_candidates(found):
         out.print(ranking_table(found))
     out.write_json(as_answer(found))
-    if plan.report is not None:
-        out.print(f"report: {plan.report}")
+    out.print_files(report=plan.report)
     if plan.twin_out is not None:
-        accepted = AcceptPlan(session=plan.session, out=plan.twin_out)
-        out.run(accept_effects, accepted, trail, diagnosed.named)
-        out.print(f"twin: {plan.twin_out}")
+        out.run(accept_effects, AcceptPlan(session=plan.session, out=plan.twin_out), trail, diagnosed.named)
+    out.print_files(twin=plan.twin_out)
 
 
 def run_batch(
@@ -182,8 +173,7 @@ def run_accept(
     if not plan.effects:
         diagnosed = out.run(diagnose_session, plan.diagnosis)
         named = diagnosed.named
-        for line in _odds(diagnosed.found):
-            out.print(line)
+        out.print_lines(_odds(diagnosed.found))
         chosen = named.effects if yes else _chosen(named.effects)
         plan = plan.model_copy(update={"effects": chosen})
     content = out.run(accept_effects, plan, trail, named)
@@ -229,31 +219,19 @@ def run_watch(plan: WatchPlan, out: Output) -> None:
     check_different(out.json_file, plan.report)
     watched = out.run(watch_folder, plan)
     history = watched.history
-    out.print(_history_table(history))
+    columns = ("Session", "Recorded, UTC", "Gap", "Floor", "Result")
+    out.print(table("Gap against the twin", *columns, rows=map(_history_row, history.entries)))
     out.print(f"{history_headline(history)[0]}.", soft_wrap=True)
     out.write_json(history.as_answer())
-    if plan.report is not None:
-        out.print(f"report: {plan.report}")
+    out.print_files(report=plan.report)
 
 
-def _history_table(history: GapHistory) -> Table:
-    rows = table("Gap against the twin", "Session", "Recorded, UTC", "Gap", "Floor", "Result")
-    for entry in history.entries:
-        cells = [MISSING, MISSING]
-        if entry.answer is not None:
-            cells = [f"{entry.gap(name):.2%}" for name in ("before", "floor")]
-        rows.add_row(entry.file, _date(entry), *cells, _result(entry))
-    return rows
-
-
-def _date(entry: GapHistoryEntry) -> str:
-    return MISSING if entry.time is None else f"{entry.time:%Y-%m-%d %H:%M}"
-
-
-def _result(entry: GapHistoryEntry) -> str:
+def _history_row(entry: GapHistoryEntry) -> tuple[str, ...]:
+    date = MISSING if entry.time is None else f"{entry.time:%Y-%m-%d %H:%M}"
     if entry.answer is None:
-        return entry.reason
-    return " + ".join(entry.combination) or str(entry.answer["verdict"]).replace("_", " ")
+        return entry.file, date, MISSING, MISSING, entry.reason
+    result = " + ".join(entry.combination) or str(entry.answer["verdict"]).replace("_", " ")
+    return entry.file, date, f"{entry.gap('before'):.2%}", f"{entry.gap('floor'):.2%}", result
 
 
 def list_effects(out: Output) -> None:
@@ -262,10 +240,8 @@ def list_effects(out: Output) -> None:
     Raises:
         UnusableInputError: the file cannot be written.
     """
-    rows = table("Effects", "Effect", "Stage", "Title")
-    for one in all_effects().values():
-        rows.add_row(one.name, STAGE_NAMES[one.stage], one.title)
-    out.print(rows)
+    rows = [(one.name, STAGE_NAMES[one.stage], one.title) for one in all_effects().values()]
+    out.print(table("Effects", "Effect", "Stage", "Title", rows=rows))
     out.write_json([declared(one) for one in all_effects().values()])
 
 
@@ -298,9 +274,6 @@ def declared(one: Effect) -> dict[str, Any]:
     }
 
 
-_PLAY = "simulated://"
-
-
 def show_twin(plan: TwinPlan, out: Output) -> None:
     """Print a twin.
 
@@ -322,7 +295,7 @@ def list_twins(plan: TwinFolderPlan, out: Output) -> None:
         effects = ", ".join(item.name for item in content.effects)
         share = MISSING if content.source.closed is None else f"{content.source.closed:.0%}"
         rows.add_row(path.name, content.name, str(content.version), effects, share, content.created)
-        answers.append({"file": str(path), **_answer(content)})
+        answers.append({"file": str(path), **content.model_dump(mode="json")})
     out.print(rows if answers else f"there are no twins in {plan.folder}")
     out.write_json({"twins": answers})
 
@@ -346,9 +319,5 @@ def print_twin(path: Path, content: TwinFile, out: Output) -> None:
             rows.add_row(part, figure, number(value), MISSING if std is None else number(std))
             part = ""
     out.print(rows)
-    out.print(f"to play it: tissueid test --device {_PLAY}{path.absolute()} --site TEXT --out SESSION")
-    out.write_json({"file": str(path), **_answer(content)})
-
-
-def _answer(content: TwinFile) -> dict[str, Any]:
-    return content.model_dump(mode="json")
+    out.print(f"to play it: tissueid test --device simulated://{path.absolute()} --site TEXT --out SESSION")
+    out.write_json({"file": str(path), **content.model_dump(mode="json")})

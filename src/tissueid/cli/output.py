@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -79,6 +79,15 @@ class Output(PlainConsole):
         """Set the number of characters of a line where the output is not a terminal."""
         if not self.is_terminal:
             self.width = width
+
+    def print_lines(self, lines: Iterable[str], *, soft_wrap: bool = False) -> None:
+        """Print lines; without ``soft_wrap`` they are broken at the width of the output."""
+        for line in lines:
+            self.print(line, soft_wrap=soft_wrap)
+
+    def print_files(self, **files: Path | None) -> None:
+        """Print the files that are given, each after its label."""
+        self.print_lines((f"{label}: {path}" for label, path in files.items() if path is not None), soft_wrap=True)
 
     def run(
         self,
@@ -183,8 +192,8 @@ class PlainTable(Table):
         super().add_row(*(_lines_clean(cell) if isinstance(cell, str) else cell for cell in cells), **options)
 
 
-def table(title: str, *columns: str) -> PlainTable:
-    """Return an empty table: first column left-aligned, the others right-aligned."""
+def table(title: str, *columns: str, rows: Iterable[Iterable[str]] = (), left: bool = False) -> PlainTable:
+    """Return a table: first column left-aligned, the others right-aligned except with ``left``."""
     result = PlainTable(
         title=_lines_clean(title),
         title_justify="left",
@@ -194,5 +203,7 @@ def table(title: str, *columns: str) -> PlainTable:
         padding=(0, 2, 0, 0),
     )
     for number, column in enumerate(columns):
-        result.add_column(column, justify="left" if number == 0 else "right")
+        result.add_column(column, justify="left" if left or number == 0 else "right")
+    for row in rows:
+        result.add_row(*row)
     return result

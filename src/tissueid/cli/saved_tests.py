@@ -39,28 +39,17 @@ def print_quality(plan: QualityPlan, out: Output) -> None:
     session, judged = checked.session, checked.tests
     out.widen(120)
     rows = table("Quality", "test", "site", "kind", "verdict", "when it was recorded")
+    answer = []
     for test, found in judged:
         before = quality_of(test)
-        rows.add_row(
-            str(test.number), test.site, test.kind, found.headline, "not judged" if before is None else before.headline
-        )
+        recorded = "not judged" if before is None else before.headline
+        rows.add_row(str(test.number), test.site, test.kind, found.headline, recorded)
+        about = {"test": test.number, "site": test.site, "kind": test.kind} | found.as_dict()
+        answer.append(about | {"verdict_when_recorded": None if before is None else before.verdict})
     out.print(rows)
     for test, found in judged:
-        for line in finding_lines(test.number, found):
-            out.print(line)
-    answer = [_quality_answer(test, found) for test, found in judged]
+        out.print_lines(finding_lines(test.number, found))
     out.write_json({"session": str(plan.session), "session_id": session.session_id, "tests": answer})
-
-
-def _quality_answer(test: Test, found: Quality) -> dict[str, object]:
-    before = quality_of(test)
-    return {
-        "test": test.number,
-        "site": test.site,
-        "kind": test.kind,
-        **found.as_dict(),
-        "verdict_when_recorded": None if before is None else before.verdict,
-    }
 
 
 def finding_lines(number: int, quality: Quality) -> Iterator[str]:
@@ -103,11 +92,9 @@ def print_identification(plan: IdentificationPlan, out: Output) -> None:
     identified = run_identification(plan, Control())
     analysis, tests = identified.analysis, identified.residual_tests
     print_analysis(analysis, out)
-    for finding in () if tests is None else tests.findings:
-        out.print(f"on {analysis.validated_on}, {finding}")
     warned = list(repeat_warnings(identified.session, analysis.tests))
-    for line in warned:
-        out.print(line)
+    out.print_lines(f"on {analysis.validated_on}, {finding}" for finding in (() if tests is None else tests.findings))
+    out.print_lines(warned)
     out.write_json(analysis.as_answer() | {"residual_tests": _tests_answer(tests), "quality_warnings": warned})
 
 
@@ -154,10 +141,7 @@ def print_analysis(analysis: Analysis, out: Output) -> None:
     profile = analysis.depth_profile()
     if profile is not None and not report.predicts_nothing:
         out.print(depth_table(profile, travel_word(analysis.configuration)))
-    for finding in report.findings:
-        out.print(finding)
-    for warning in report.warnings:
-        out.print(f"warning: {warning}")
+    out.print_lines([*report.findings, *(f"warning: {warning}" for warning in report.warnings)])
 
 
 def depth_table(profile: DepthProfile, way: str = "depth") -> Table:
@@ -190,15 +174,13 @@ def list_engines(plan: EnginesPlan, out: Output) -> None:
     """
     kinds = listed_engines(plan)
     if plan.engine is None:
-        rows = table("Engines", "Engine", "Family", "Description")
-        for kind in kinds:
-            rows.add_row(kind.name, str(kind.family), kind.title)
+        rows = [(kind.name, str(kind.family), kind.title) for kind in kinds]
+        out.print(table("Engines", "Engine", "Family", "Description", rows=rows))
     else:
         out.print(f"{kinds[0].label}: {kinds[0].title}")
-        rows = table("Options", "Option", "Default", "Description")
-        for option, declared in _options(kinds[0]).items():
-            rows.add_row(option, plain_text(declared["default"]), declared["description"])
-    out.print(rows)
+        options = _options(kinds[0]).items()
+        rows = [(name, plain_text(declared["default"]), declared["description"]) for name, declared in options]
+        out.print(table("Options", "Option", "Default", "Description", rows=rows))
     out.write_json([_declaration(kind) for kind in kinds])
 
 
@@ -240,12 +222,8 @@ def print_readings(plan: ReadingsPlan, out: Output) -> None:
         cells = [_cell(one, scale) for one in (recorded, model)]
         rows.add_row(definition.symbol, str(definition.meaning), *cells, unit, ",".join(dict.fromkeys(marks)))
     out.print(rows)
-    for reason, number in reasons.items():
-        out.print(f"  {number}. {reason}")
-    for note in found.notes:
-        out.print(str(note))
-    if plan.page is not None:
-        out.print(f"report: {plan.page}")
+    out.print_lines([*(f"  {number}. {reason}" for reason, number in reasons.items()), *map(str, found.notes)])
+    out.print_files(report=plan.page)
     out.write_json({"session_id": result.session.session_id} | found.as_answer())
 
 
@@ -274,8 +252,5 @@ def report_test(plan: ReportPlan) -> None:
     analysed = out.run(run_report, plan)
     count = len(analysed.session.tests)
     which = f", test {analysed.test.number} of {count}" if count > 1 else ""
-    for path in (plan.page, plan.pdf):
-        if path is not None:
-            out.print(f"report: {path}{which}")
-    for name, why in analysed.refused.items():
-        out.print(f"without {name}: {why}", soft_wrap=True)
+    out.print_lines(f"report: {path}{which}" for path in (plan.page, plan.pdf) if path is not None)
+    out.print_lines((f"without {name}: {why}" for name, why in analysed.refused.items()), soft_wrap=True)

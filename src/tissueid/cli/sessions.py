@@ -32,14 +32,15 @@ def import_files(plan: ImportPlan, out: Output) -> None:
     made = out.run(run_import, plan, audit_trail())
     tests = [_answer(item, test) for item, test in zip(made.tests, made.session.tests, strict=True)]
     _print_result(plan.out, out, tests, made.notices)
-    answer: dict[str, Any] = {
-        "session": str(plan.out),
-        "session_id": made.session.session_id,
-        "tests": tests,
-        "notices": list(made.notices),
-        "notice_messages": list(map(stored, made.notices)),
-    }
-    out.write_json(answer)
+    out.write_json(
+        {
+            "session": str(plan.out),
+            "session_id": made.session.session_id,
+            "tests": tests,
+            "notices": list(made.notices),
+            "notice_messages": list(map(stored, made.notices)),
+        }
+    )
 
 
 def _answer(item: Imported, test: Test) -> dict[str, Any]:
@@ -83,11 +84,8 @@ def _print_result(path: Path, out: Output, tests: Sequence[dict[str, Any]], noti
             rows.add_row(*first, name, clean(signal["column"]), signal["si_unit"], *ends)
             first = [""] * 4
     out.print(rows)
-    for test in tests:
-        for notice in test["notices"]:
-            out.print(f"test {test['test']}: {notice}", soft_wrap=True)
-    for notice in notices:
-        out.print(notice, soft_wrap=True)
+    own = [f"test {test['test']}: {notice}" for test in tests for notice in test["notices"]]
+    out.print_lines([*own, *notices], soft_wrap=True)
 
 
 def export_tests(plan: ExportPlan, out: Output) -> None:
@@ -99,15 +97,10 @@ def export_tests(plan: ExportPlan, out: Output) -> None:
     check_different(plan.out, out.json_file)
     made = out.run(run_export, plan, audit_trail())
     out.print(f"{plan.out} contains {len(made.session.tests)} test(s), each with its attributes in JSON:")
-    for test, name in zip(made.session.tests, made.files[::2], strict=True):
-        out.print(f"  {name}: {test.kind}, {test.samples} samples")
-    answer = {
-        "folder": str(plan.out),
-        "format": plan.kind,
-        "session_id": made.session.session_id,
-        "files": list(made.files),
-    }
-    out.write_json(answer)
+    tests = zip(made.session.tests, made.files[::2], strict=True)
+    out.print_lines(f"  {name}: {test.kind}, {test.samples} samples" for test, name in tests)
+    about = {"folder": str(plan.out), "format": plan.kind, "session_id": made.session.session_id}
+    out.write_json(about | {"files": list(made.files)})
 
 
 def recover_session(plan: RecoveryPlan, out: Output) -> None:
@@ -136,16 +129,15 @@ def print_samples(plan: SamplesPlan, out: Output) -> None:
         UnusableInputError: the folder or a file cannot be used.
     """
     made = out.run(make_samples, plan)
-    rows = table(f"Samples in {plan.out}", "file", "tests", "content", "try")
-    for name, session in made.items():
-        rows.add_row(name, str(len(session.tests)), SAMPLES[name].about, SAMPLES[name].command)
+    rows = [(name, str(len(made[name].tests)), SAMPLES[name].about, SAMPLES[name].command) for name in made]
     out.widen(150)
-    out.print(rows)
-    answer = [
-        {"file": str(plan.out / name), "session_id": session.session_id, "tests": len(session.tests)}
-        for name, session in made.items()
-    ]
-    out.write_json(answer)
+    out.print(table(f"Samples in {plan.out}", "file", "tests", "content", "try", rows=rows))
+    out.write_json(
+        [
+            {"file": str(plan.out / name), "session_id": session.session_id, "tests": len(session.tests)}
+            for name, session in made.items()
+        ]
+    )
 
 
 _ANSWERS = {True: "yes", False: "no", None: "not probed"}
@@ -154,14 +146,10 @@ _ANSWERS = {True: "yes", False: "no", None: "not probed"}
 def list_devices(plan: DevicesPlan, out: Output) -> None:
     """Print the instruments that were found, and why some did not answer."""
     found = listed_instruments(plan)
-    rows = table("Instruments", "device", "what", "answers")
-    for column in rows.columns:
-        column.justify = "left"
-    for item in found:
-        what = f"{item.what}: {item.detail}" if item.answers and item.detail else item.what
-        rows.add_row(item.url, what, _ANSWERS[item.answers])
-    out.print(rows)
-    for item in found:
-        if item.answers is False:
-            out.print(item.detail)
+    rows = [
+        (item.url, f"{item.what}: {item.detail}" if item.answers and item.detail else item.what, _ANSWERS[item.answers])
+        for item in found
+    ]
+    out.print(table("Instruments", "device", "what", "answers", rows=rows, left=True))
+    out.print_lines(item.detail for item in found if item.answers is False)
     out.write_json([asdict(item) for item in found])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -16,12 +16,12 @@ from tissueid.acquisition.stimulus_choice import checksum
 from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.cli.output import Output, table
 from tissueid.messages import stored
+from tissueid.plan_options import bounds_of
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.stimulus_design import FeedbackTrial, StimulusPlan, run_stimulus
 from tissueid.reports.stimulus_page import REPORT_NOTE
 from tissueid.stimuli import FeedbackKind, StimulusKind, get_stimulus, stimulus_names
 
-_BOUNDS = (("ge", "{} or more"), ("gt", "over {}"), ("le", "up to {}"), ("lt", "under {}"))
 _SOURCE = re.compile(r"\s*\([^()]*\d{4}[^()]*\)")
 _WORDS = {float: "number", int: "whole number", bool: "true or false", str: "text", tuple: "list"}
 
@@ -41,29 +41,20 @@ def kinds_answer() -> list[dict[str, Any]]:
 
 def kinds_table() -> Table:
     """Return the table of all kinds."""
-    rows = table("Kinds of stimulus", "kind", "generated", "description")
-    for column in rows.columns[1:]:
-        column.justify = "left"
-    for name in stimulus_names():
-        kind = get_stimulus(name)
-        when = "during the test" if issubclass(kind, FeedbackKind) else "before the test"
-        rows.add_row(name, when, summary(kind))
-    return rows
+    kinds = {name: get_stimulus(name) for name in stimulus_names()}
+    rows = [
+        (name, f"{'during' if issubclass(kind, FeedbackKind) else 'before'} the test", summary(kind))
+        for name, kind in kinds.items()
+    ]
+    return table("Kinds of stimulus", "kind", "generated", "description", rows=rows, left=True)
 
 
 def options_table(kind: type[StimulusKind]) -> Table:
     """Return the table of the options of a kind with bounds and defaults."""
-    rows = table(f"Options of the stimulus {kind.name}", "option", "default", "values", "description")
-    for column in rows.columns[1:]:
-        column.justify = "left"
-    for name, field in kind.model_fields.items():
-        rows.add_row(name, default_of(field), allowed(field), field.description or "")
-    return rows
-
-
-def options_answer(kind: type[StimulusKind]) -> dict[str, Any]:
-    """Return the options of a kind as a JSON schema."""
-    return kind.model_json_schema()
+    fields = kind.model_fields.items()
+    rows = [(name, default_of(field), allowed(field), field.description or "") for name, field in fields]
+    columns = ("option", "default", "values", "description")
+    return table(f"Options of the stimulus {kind.name}", *columns, rows=rows, left=True)
 
 
 def summary(kind: type[StimulusKind]) -> str:
@@ -86,16 +77,12 @@ def allowed(field: FieldInfo) -> str:
     choices, kinds = _choices(field.annotation)
     if choices:
         return ", ".join(choices)
-    bounds = [words.format(_short(value)) for words, value in _bounds(field)]
-    return ", ".join([" or ".join(kinds), *bounds])
-
-
-def _bounds(field: FieldInfo) -> Iterator[tuple[str, float]]:
-    for item in field.metadata:
-        for name, words in _BOUNDS:
-            value = getattr(item, name, None)
-            if isinstance(value, int | float):
-                yield words, value
+    bounds, shown = bounds_of(field), [" or ".join(kinds)]
+    if bounds.least is not None:
+        shown.append(f"over {_short(bounds.least)}" if bounds.least_open else f"{_short(bounds.least)} or more")
+    if bounds.most is not None:
+        shown.append(f"{'under' if bounds.most_open else 'up to'} {_short(bounds.most)}")
+    return ", ".join(shown)
 
 
 def _short(value: float) -> str:
@@ -133,10 +120,9 @@ def print_stimulus(plan: StimulusPlan, out: Output) -> None:
         if made.design is not None:
             answer = _print_design(made.design, out)
         if made.trial is not None:
-            answer = _print_trial(made.trial, out)
-        for label, path in (("saved", plan.out), ("samples", plan.csv), ("plot", plan.plot)):
-            if path is not None:
-                out.print(f"{label}: {path}")
+            out.print(_table(f"Stimulus {made.trial.kind.name} on {made.trial.url}", made.trial.rows()))
+            answer = _trial_answer(made.trial)
+        out.print_files(saved=plan.out, samples=plan.csv, plot=plan.plot)
     out.write_json(answer)
 
 
@@ -148,32 +134,13 @@ def _list(kind: str | None, out: Output) -> Any:
         return kinds_answer()
     out.print(options_table(get_stimulus(kind)))
     out.print("Lists are JSON, such as --option 'notches=[[45, 55]]'.", style="dim")
-    return options_answer(get_stimulus(kind))
+    return get_stimulus(kind).model_json_schema()
 
 
 def _print_design(design: StimulusDesign, out: Output) -> dict[str, Any]:
     """Print a stimulus and its check; return them for JSON."""
     out.print(_table(f"Stimulus {design.specification.name}", design.rows()))
-    for concern in design.appraisal.concerns:
-        out.print(f"{concern.severity}: {concern.words}")
-    return _open_loop_answer(design)
-
-
-def _print_trial(trial: FeedbackTrial, out: Output) -> dict[str, Any]:
-    """Print the trial of a feedback stimulus; return it for JSON."""
-    out.print(_table(f"Stimulus {trial.kind.name} on {trial.url}", trial.rows()))
-    return _trial_answer(trial)
-
-
-def _table(title: str, rows: Sequence[tuple[str, str]]) -> Table:
-    drawn = table(title, "quantity", "value")
-    drawn.columns[1].justify = "left"
-    for row in rows:
-        drawn.add_row(*row)
-    return drawn
-
-
-def _open_loop_answer(design: StimulusDesign) -> dict[str, Any]:
+    out.print_lines(f"{concern.severity}: {concern.words}" for concern in design.appraisal.concerns)
     stimulus, found = design.stimulus, design.appraisal
     return {
         "description": stimulus.description,
@@ -204,6 +171,10 @@ def _open_loop_answer(design: StimulusDesign) -> dict[str, Any]:
             for concern in found.concerns
         ],
     } | design.answer()
+
+
+def _table(title: str, rows: Sequence[tuple[str, str]]) -> Table:
+    return table(title, "quantity", "value", rows=rows, left=True)
 
 
 def _trial_answer(trial: FeedbackTrial) -> dict[str, Any]:

@@ -78,8 +78,7 @@ def print_report(plan: StudyReportPlan, out: Output) -> None:
         UnusableInputError: the folder, an option or a file cannot be used.
     """
     check_different(out.json_file, plan.report, plan.pdf)
-    found = out.run(report_study, plan)
-    _print_report(found, out)
+    _print_report(out.run(report_study, plan), out)
 
 
 def print_population(plan: PopulationPlan, out: Output) -> None:
@@ -88,13 +87,11 @@ def print_population(plan: PopulationPlan, out: Output) -> None:
     Raises:
         UnusableInputError: the folder cannot be used.
     """
-    found = out.run(run_population, plan)
-    _print_report(found, out)
+    _print_report(out.run(run_population, plan), out)
 
 
 def _print_report(found: StudyReport, out: Output) -> None:
-    for remark in found.statistics.remarks:
-        out.print(f"note: {remark}", soft_wrap=True)
+    out.print_lines((f"note: {remark}" for remark in found.statistics.remarks), soft_wrap=True)
     _print_counts(found.run, out)
     pages = " and ".join(str(path) for path in (found.page, found.pdf) if path is not None)
     out.print(f"report: {pages}", soft_wrap=True)
@@ -109,8 +106,7 @@ def _write_answer(run: StudyRun, rows: pd.DataFrame, out: Output) -> None:
 
 
 def _print_counts(run: StudyRun, out: Output) -> None:
-    for file, reason in run.failures.items():
-        out.print(f"not analysed: {file}: {reason}", soft_wrap=True)
+    out.print_lines((f"not analysed: {file}: {reason}" for file, reason in run.failures.items()), soft_wrap=True)
     count = len(run.table)
     out.print(f"{count} tests of {run.sessions} sessions, {run.analysed} analysed now")
     out.print(f"table: {run.plan.folder / RESULTS / 'table.csv'} and table.parquet", soft_wrap=True)
@@ -135,11 +131,9 @@ def print_protocol(plan: ProtocolPlan, out: Output) -> None:
     out.print(f"{'template written' if written else 'protocol'}: {path}", soft_wrap=True)
     steps = sitting_steps(protocol, "P01")
     order = "fixed" if protocol.order == "fixed" else "randomised by subject; shown for P01"
-    shown = table(f"{protocol.name}: {len(steps)} tests for each subject, order {order}", "Site", "Condition", "Tests")
-    for step in steps:
-        if step.repeat == 1:
-            shown.add_row(step.site, step.condition.text or MISSING, str(step.repeats))
-    out.print(shown)
+    rows = [(step.site, step.condition.text or MISSING, str(step.repeats)) for step in steps if step.repeat == 1]
+    title = f"{protocol.name}: {len(steps)} tests for each subject, order {order}"
+    out.print(table(title, "Site", "Condition", "Tests", rows=rows))
     out.print(f"asks for: {', '.join(protocol.demographics) or 'nothing'}", soft_wrap=True)
     out.write_json({"protocol": protocol.model_dump(mode="json"), "written": written, "tests": len(steps)})
 

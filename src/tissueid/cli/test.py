@@ -4,28 +4,39 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rich.table import Table
 
 from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.playback import Progress
+from tissueid.acquisition.quality import quality_of
 from tissueid.calibration.active import calibration_summary, warnings_of
-from tissueid.cli.output import ConsoleControl, Output, console, progress_bars
+from tissueid.cli.output import ConsoleControl, Output, console, progress_bars, table
 from tissueid.cli.saved_tests import recorded_findings
 from tissueid.cli.stop_key import StopKey, stop_key
-from tissueid.cli.test_summary import answer_of, live_answer, tests_table
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import fixed, plus_minus
+from tissueid.formatting import fixed, grouped, plus_minus
 from tissueid.identification.live.live_view import LiveView
 from tissueid.identification.live.stopping import StopRule
 from tissueid.instrument import Instrument, Limits
-from tissueid.messages import Message, joined
-from tissueid.procedures.depth_coverage import out_of_reach
+from tissueid.messages import MISSING, Message, joined
+from tissueid.procedures.depth_coverage import (
+    DepthRange,
+    depth_range_of,
+    kolmogorov_distance,
+    out_of_reach,
+    stimulus_of,
+)
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.test_plan import LIVE_METHODS, TestPlan
 from tissueid.procedures.test_run import TestControl, TestOutcome, TestStep, run_test
-from tissueid.sessions import Session
+from tissueid.sessions import Session, Test
+from tissueid.sessions.quality import verdict_of
+from tissueid.test_settings import PROPERTIES
 
 _UNITS = {"mass": ("g", 1e3), "damping": ("N·s/m", 1.0), "stiffness": ("N/m", 1.0)}
 
@@ -58,7 +69,8 @@ def _show(plan: TestPlan, outcome: TestOutcome, out: Output, views: Sequence[Liv
         return
     _print_result(plan, outcome.session, out)
     try:
-        _answer(plan, outcome.session, outcome.steps, out, views)
+        if out.json_file is not None:
+            out.write_json(_answer(plan, outcome.session, outcome.steps, views))
     except UnusableInputError as trouble:
         if outcome.error is None:
             raise
@@ -66,42 +78,31 @@ def _show(plan: TestPlan, outcome: TestOutcome, out: Output, views: Sequence[Liv
 
 
 def _answer(
-    plan: TestPlan,
-    session: Session,
-    steps: tuple[TestStep, ...],
-    out: Output,
-    views: Sequence[LiveView | None],
-) -> None:
-    """Write the JSON output if it was requested.
-
-    Raises:
-        UnusableInputError: the JSON cannot be written.
-    """
-    if out.json_file is not None:
-        tests = [
-            answer_of(test, plan.depth_range_m, next((step for step in steps if step.number == test.number), None))
-            | {"live": live_answer(view)}
-            for test, view in itertools.zip_longest(session.tests, views[: len(session.tests)])
-        ]
-        out.write_json({"session": str(plan.out), "session_id": session.session_id, "tests": tests})
+    plan: TestPlan, session: Session, steps: tuple[TestStep, ...], views: Sequence[LiveView | None]
+) -> dict[str, Any]:
+    by_number = {step.number: step for step in steps}
+    tests = [
+        answer_of(test, plan.depth_range_m, by_number.get(test.number)) | {"live": live_answer(view)}
+        for test, view in itertools.zip_longest(session.tests, views[: len(session.tests)])
+    ]
+    return {"session": str(plan.out), "session_id": session.session_id, "tests": tests}
 
 
 def _print_result(plan: TestPlan, session: Session, out: Output) -> None:
     out.widen(120)
     out.print(f"session: {plan.out}")
     out.print(f"instrument: {calibration_summary(session.instrument)}")
-    for warning in warnings_of(session.instrument):
-        out.print(f"calibration: {warning}")
+    out.print_lines(f"calibration: {warning}" for warning in warnings_of(session.instrument))
     out.print(tests_table(session.tests, plan.depth_range_m))
     for test in session.tests:
-        if short := out_of_reach(test):
-            out.print(f"test {test.number}: {short}")
-        if lost := test.notes.get("samples_lost"):
-            out.print(f"test {test.number}: {lost:.0f} samples were lost; they are marked in the session")
-        if reason := test.notes.get("reason"):
-            out.print(f"test {test.number}: {reason}")
-        for line in recorded_findings(test):
-            out.print(line)
+        lost = test.notes.get("samples_lost")
+        said = (
+            out_of_reach(test),
+            f"{lost:.0f} samples were lost; they are marked in the session" if lost else "",
+            test.notes.get("reason"),
+        )
+        out.print_lines(f"test {test.number}: {text}" for text in said if text)
+        out.print_lines(recorded_findings(test))
 
 
 class _TerminalControl(ConsoleControl, TestControl):
@@ -189,3 +190,69 @@ def view_line(view: LiveView) -> str:
     if view.vaf_percent is not None:
         words.append(f"VAF {fixed(view.vaf_percent, 1)} % ({view.method})")
     return ", ".join(words if view.parameters else [*words, view.missing])
+
+
+def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> dict[str, Any]:
+    """Return one test for JSON; values that do not apply to its kind of stimulus are None."""
+    depths = depth_range_of(test, asked)
+    answer: dict[str, Any] = {
+        "test": test.number,
+        "status": test.status,
+        "samples": test.samples,
+        "stimulus": stimulus_of(test).get("type"),
+        "depth_min_m": None if depths is None else depths[0],
+        "depth_max_m": None if depths is None else depths[1],
+        "kolmogorov_distance": kolmogorov_distance(test, depths),
+    }
+    for note in ("late_blocks", "held_samples"):
+        count = test.notes.get(note)
+        answer[note] = int(count) if isinstance(count, float) else None
+    for note in ("generating_share", "generating_longest_s", "ended_early_s", "reason"):
+        answer[note] = test.notes.get(note)
+    quality = quality_of(test)
+    answer |= {"configuration": test.configuration} | {name: test.notes.get(name) for name in PROPERTIES}
+    answer |= {"verdict": verdict_of(test), "quality": None if quality is None else quality.as_dict()["findings"]}
+    if step is not None:
+        answer |= {
+            "kolmogorov_distance_predicted": step.predicted,
+            "designed_by": step.engine,
+            "vaf_held_out_percent": step.vaf_held_out_percent,
+        }
+    return answer
+
+
+_SI = {"mass": "mass_kg", "damping": "damping_n_s_per_m", "stiffness": "stiffness_n_per_m"}
+
+
+def live_answer(view: LiveView | None) -> dict[str, Any] | None:
+    """Return the last live estimates of a test for JSON, SI; None without any."""
+    if view is None:
+        return None
+    return {
+        "method": view.method,
+        "seconds": view.seconds,
+        "vaf_percent": view.vaf_percent,
+        "parameters": {_SI[name]: {"value": found.value, "std": found.std} for name, found in view.parameters.items()},
+    }
+
+
+def tests_table(tests: Sequence[Test], asked: DepthRange | None) -> Table:
+    """Return a table with one row per test, without empty columns."""
+    answers = [answer_of(test, asked, None) | {"depths": depth_range_of(test, asked)} for test in tests]
+    cells: dict[str, tuple[str, Callable[[Any], str]]] = {
+        "test": ("test", str),
+        "stimulus": ("stimulus", str),
+        "status": ("status", str),
+        "samples": ("samples", grouped),
+        "depth mm": ("depths", lambda depths: " to ".join(fixed(1e3 * depth, 2) for depth in depths)),
+        "distance from target": ("kolmogorov_distance", lambda distance: fixed(distance, 3)),
+        "computing %": ("generating_share", lambda share: fixed(100.0 * share, 1)),
+        "late blocks": ("late_blocks", grouped),
+        "held samples": ("held_samples", grouped),
+        "quality": ("verdict", str),
+    }
+    shown = {name: cell for name, cell in cells.items() if any(answer[cell[0]] is not None for answer in answers)}
+    rows = [
+        [MISSING if answer[key] is None else text(answer[key]) for key, text in shown.values()] for answer in answers
+    ]
+    return table("Tests", *shown, rows=rows)

@@ -21,7 +21,7 @@ from tissueid.app.panels import FOLDER, HELP_KEY, MOST_LINES
 from tissueid.app.views.researcher.session_search import entry_of
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
 from tissueid.app.views.start.view import brief
-from tissueid.cli.test_summary import answer_of
+from tissueid.cli.test import answer_of
 from tissueid.instrument import FoundInstrument
 from tissueid.reports.verdict import judge
 from tissueid.sessions import Subject, read_session, write_session
