@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.gap import Diagnosis
     from tissueid.identification import Engine
     from tissueid.instrument import FoundInstrument
-    from tissueid.procedures.calibration_files import CalibrationResult
+    from tissueid.procedures.calibrations import CalibrationResult
     from tissueid.stimuli import Stimulus, StimulusKind
     from tissueid.twin.effect import Effect
 
@@ -73,7 +73,7 @@ def import_records(
     """
     from tissueid.procedures.control import Control
     from tissueid.procedures.import_export import ImportPlan, run_import
-    from tissueid.procedures.instrument_access import audit_trail
+    from tissueid.procedures.instruments import audit_trail
 
     chosen = (files,) if isinstance(files, str | os.PathLike) else tuple(files)
     pairs = tuple(f"{role}={column}" for role, column in (mapping or {}).items())
@@ -111,7 +111,7 @@ def list_devices(*, probe: bool = True) -> list[FoundInstrument]:
     Args:
         probe: whether to connect to each and ask what it is. The coil stays free.
     """
-    from tissueid.procedures.instrument_queries import DevicesPlan, listed_instruments
+    from tissueid.procedures.instruments import DevicesPlan, listed_instruments
 
     return listed_instruments(DevicesPlan(probe=probe))
 
@@ -213,8 +213,8 @@ def compare(
     """
     from tissueid.analysis import compare as compare_split
     from tissueid.analysis import specifications
-    from tissueid.procedures.comparison import compare_engines
     from tissueid.procedures.control import Control
+    from tissueid.procedures.identification import compare_engines
 
     chosen = specifications(engines, own=options)
     records = _records_of(data)
@@ -241,7 +241,7 @@ def run_test(device: str, site: str, out: str | os.PathLike[str], **options: Any
         SessionExistsError: ``out`` exists; sessions are never overwritten.
         LimitError, InstrumentError: the test ended early. The coil is released, and the samples until then are saved.
     """
-    from tissueid.procedures.instrument_access import audit_trail
+    from tissueid.procedures.instruments import audit_trail
     from tissueid.procedures.test_plan import TestPlan
     from tissueid.procedures.test_run import TestControl
     from tissueid.procedures.test_run import run_test as run_plan
@@ -254,12 +254,7 @@ def run_test(device: str, site: str, out: str | os.PathLike[str], **options: Any
             warnings.warn(str(message), stacklevel=2)
 
     plan = TestPlan(**{"url": device, "site": site, "out": Path(out)} | options)
-    outcome = run_plan(plan, Notices(), audit_trail())
-    for error in (outcome.not_saved, outcome.error):
-        if error is not None:
-            raise error
-    assert outcome.session is not None  # it is None only with an error
-    return outcome.session
+    return run_plan(plan, Notices(), audit_trail()).saved()
 
 
 def calibrate(
@@ -282,9 +277,9 @@ def calibrate(
         LimitError, InstrumentError: the calibration ended early; the coil is released.
     """
     from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
-    from tissueid.procedures.calibration_runs import run_static_calibration, run_sweep
+    from tissueid.procedures.calibrations import run_static_calibration, run_sweep
     from tissueid.procedures.control import Control
-    from tissueid.procedures.instrument_access import audit_trail
+    from tissueid.procedures.instruments import audit_trail
 
     values = {"device": device, "out": None if out is None else Path(out)} | options
     if kind == "static":
@@ -350,20 +345,14 @@ def write_report(
     Raises:
         UnusableInputError: the test or an engine is unknown, no engine can use the test, or a file cannot be written.
     """
-    from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, check_report
-    from tissueid.procedures.saved_test import analyse_test, write_page, write_pdf
+    from tissueid.procedures.control import Control
+    from tissueid.procedures.saved_test import ReportPlan, run_report
 
-    page, short = Path(out), None if pdf is None else Path(pdf)
-    check_output(page, HTML)
-    check_output(short, PDF)
-    check_different(page, short)
-    opened = _session_of(session)
-    for target in (page, short):
-        check_report(target, opened)
-    analysed = analyse_test(opened, test, engines)
-    if short is not None:
-        write_pdf(short, analysed)
-    return write_page(page, analysed)
+    names = None if engines is None else tuple(engines)
+    files = {"page": Path(out), "pdf": None if pdf is None else Path(pdf)}
+    plan = ReportPlan(session=Path(), test=test, engines=names, **files)
+    run_report(plan, Control(), lambda: _session_of(session))
+    return plan.page
 
 
 def _session_of(data: Source) -> Session:

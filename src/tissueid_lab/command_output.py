@@ -11,7 +11,7 @@ import typer
 from tissueid.cli.output import Output, at_terminal, table
 from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING
-from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.instruments import audit_trail
 from tissueid.procedures.output_files import check_different
 from tissueid_lab.blind_check.check import BlindCheckPlan, run_blind_check
 from tissueid_lab.conformance.procedure import ConformancePlan, run_conformance

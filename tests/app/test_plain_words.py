@@ -7,7 +7,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QLabel
 
 from tissueid.errors import UnusableInputError
-from tissueid.procedures.pseudonyms import reads_like_name
+from tissueid.procedures.test_plan import reads_like_name
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 

@@ -22,8 +22,8 @@ from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError
 from tissueid.instrument import SAMPLE, Run
-from tissueid.procedures import calibration_runs
-from tissueid.procedures.calibration_runs import Sweep
+from tissueid.procedures import calibrations
+from tissueid.procedures.calibrations import Sweep
 from tissueid.sessions import Session, write_session
 from tissueid.wire import Flag
 
@@ -203,7 +203,7 @@ def test_a_calibration_from_the_shell_that_broke_off_has_an_end_in_the_log(
     def fails(*_, **__):
         raise error
 
-    monkeypatch.setattr(calibration_runs, "calibrate_static", fails)
+    monkeypatch.setattr(calibrations, "calibrate_static", fails)
     monkeypatch.setattr(Sweep, "run", fails)
     assert main(["calibrate", kind, "--device", "simulated://forearm", "--out", str(tmp_path / "c.toml")]) != 0
     lines = [line for line in last_lines(audit_file, 100) if line.what.startswith("calibration.")]

@@ -16,7 +16,7 @@ from tissueid.calibration.sweep import ProbePosition, Sweep
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError
-from tissueid.procedures import calibration_runs
+from tissueid.procedures import calibrations
 from tissueid.sessions import Session, Test, read_session, write_session
 
 SPRING = Scenario(preset="calibration-spring", coil="finite", seed=5)
@@ -41,7 +41,7 @@ def device(monkeypatch):
         scenario.append(connect_scenario(scenario[0]))
         return scenario[-1]
 
-    monkeypatch.setattr(calibration_runs, "open_instrument", opened)
+    monkeypatch.setattr(calibrations, "open_instrument", opened)
     return scenario
 
 
@@ -95,7 +95,7 @@ def test_without_a_stage_a_person_on_a_terminal_moves_the_spring(device, tmp_pat
         instrument.link.firmware.bench.place_fixture(place_m - 0.6e-3)
         tell(ProbePosition(place_m - 1.4e-3, False))
 
-    monkeypatch.setattr(calibration_runs, "wait_for_position", there)
+    monkeypatch.setattr(calibrations, "wait_for_position", there)
     for stream in ("stdin", "stderr"):
         monkeypatch.setattr(f"sys.{stream}.isatty", lambda: True, raising=False)
     out = tmp_path / "sweep.toml"

@@ -15,7 +15,7 @@ from outside_data import RIG
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.identification.base import PREDICTS_NOTHING
-from tissueid.procedures import instrument_queries, test_run
+from tissueid.procedures import instruments, test_run
 from tissueid.sessions import Session, Test, read_session, write_session
 
 A_TEST = ["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/a.h5"]
@@ -223,7 +223,7 @@ def test_a_defect_leaves_its_details_in_a_file(monkeypatch, capsys, tmp_path):
     def fail(*_args, **_kwargs):
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr(instrument_queries, "find_instruments", fail)
+    monkeypatch.setattr(instruments, "find_instruments", fail)
     monkeypatch.setattr(platformdirs, "user_log_path", lambda *_, **__: tmp_path)
     assert main(["devices"]) == 1
     printed = capsys.readouterr().err

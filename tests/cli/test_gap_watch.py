@@ -18,9 +18,9 @@ from tissueid.cli import main
 from tissueid.errors import CancelledError
 from tissueid.gap import as_answer, fit_tasks
 from tissueid.instrument.twin_file import read_twin
-from tissueid.procedures import gap_folder
+from tissueid.procedures import diagnosis
 from tissueid.procedures.control import Control
-from tissueid.procedures.gap_folder import diagnose_folder, watch_folder
+from tissueid.procedures.diagnosis import diagnose_folder, watch_folder
 from tissueid.procedures.gap_plans import FolderPlan, WatchPlan
 from tissueid.sessions import Session, Test, write_session
 from tissueid.twin import catalogue
@@ -33,7 +33,7 @@ SAMPLES = 3000
 def _few_effects(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     everything = catalogue.all_effects()
     monkeypatch.setattr(fit_tasks, "all_effects", lambda: {name: everything[name] for name in FEW})
-    monkeypatch.setattr(gap_folder, "user_cache_path", lambda *_, **__: tmp_path / "cache")
+    monkeypatch.setattr(diagnosis, "user_cache_path", lambda *_, **__: tmp_path / "cache")
 
 
 def session(seed: int, created: str, *new: str, own: str = "dry_friction") -> Session:
@@ -107,7 +107,7 @@ def batch(folder: Path, control: Control) -> object:
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Number of diagnoses; the second one is killed."""
     count: list[int] = []
-    diagnose = gap_folder.diagnose
+    diagnose = diagnosis.diagnose
 
     def diagnosed(*arguments: object, **options: object) -> object:
         count.append(1)
@@ -115,7 +115,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
             raise SystemExit
         return diagnose(*arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(gap_folder, "diagnose", diagnosed)
+    monkeypatch.setattr(diagnosis, "diagnose", diagnosed)
     return count
 
 

@@ -16,9 +16,9 @@ from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.calibration import read_calibration, spring_points
 from tissueid.cli import main
 from tissueid.errors import CancelledError
-from tissueid.procedures import calibration_runs
+from tissueid.procedures import calibrations
 from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
-from tissueid.procedures.calibration_runs import Sweep
+from tissueid.procedures.calibrations import Sweep
 from tissueid.sessions import read_session
 
 STATIC = ("--steps", "electrical,temperature", "--ambient", "24", "--push-only")
@@ -43,7 +43,7 @@ def spring(monkeypatch):
         assert url == "spring"
         return connect_scenario(scenario)
 
-    monkeypatch.setattr(calibration_runs, "open_instrument", opened)
+    monkeypatch.setattr(calibrations, "open_instrument", opened)
     return opened
 
 
@@ -98,7 +98,7 @@ def test_both_log_a_calibration_that_was_stopped_alike(spring, tmp_path, audit_f
     def poll_until_stopped(*_, **__):
         raise CancelledError("stopped")
 
-    monkeypatch.setattr(calibration_runs, "calibrate_static", poll_until_stopped)
+    monkeypatch.setattr(calibrations, "calibrate_static", poll_until_stopped)
     monkeypatch.setattr(Sweep, "run", poll_until_stopped)
     assert main(["calibrate", kind, "--device", "spring", "--out", str(tmp_path / "a.toml")]) != 0
     with pytest.raises(CancelledError):

@@ -15,8 +15,8 @@ from tissueid.app.views.researcher.results_store import AnalysisHistory
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.cli import main
 from tissueid.errors import CancelledError
-from tissueid.procedures.comparison import ComparePlan, run_comparison
 from tissueid.procedures.control import Control
+from tissueid.procedures.identification import ComparePlan, run_comparison
 from tissueid.sessions import write_session
 
 ENGINES = ("lms", "spectral", "volterra")

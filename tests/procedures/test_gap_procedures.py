@@ -21,9 +21,8 @@ from tissueid.gap import fit_tasks
 from tissueid.gap.search import SearchProgress, Work
 from tissueid.gap.twin_export import NamedEffects
 from tissueid.procedures.control import Control, RemainingTime, counted
-from tissueid.procedures.diagnosis import SHARES, STEPS, SearchDisplay
+from tissueid.procedures.diagnosis import SHARES, STEPS, SearchDisplay, accept_effects
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan
-from tissueid.procedures.saved_twins import accept_effects
 from tissueid.sessions import write_session
 from tissueid.twin import catalogue
 

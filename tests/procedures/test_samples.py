@@ -12,9 +12,9 @@ from coded import coded
 from tissueid.cli import main
 from tissueid.cli.command_reference import all_commands
 from tissueid.errors import UnusableInputError
-from tissueid.procedures import samples
+from tissueid.procedures import demo
 from tissueid.procedures.control import Control
-from tissueid.procedures.samples import SAMPLES, SamplesPlan, make_samples
+from tissueid.procedures.demo import SAMPLES, SamplesPlan, make_samples
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import read_session
 
@@ -33,7 +33,7 @@ def test_every_plan_and_command_is_valid(tmp_path: Path):
 def test_samples_are_the_same_at_every_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(samples, "SAMPLES", {"spring.h5": SAMPLES["spring.h5"]})
+    monkeypatch.setattr(demo, "SAMPLES", {"spring.h5": SAMPLES["spring.h5"]})
     for folder in ("one", "two"):
         assert main(["samples", "--out", str(tmp_path / folder), "--json", str(tmp_path / f"{folder}.json")]) == 0
     assert "tissueid identify spring.h5" in capsys.readouterr().out

@@ -29,8 +29,7 @@ from tissueid.procedures.study_demo import (
     subjects_file,
 )
 from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
-from tissueid.procedures.study_report import report_study
-from tissueid.procedures.study_run import run_study
+from tissueid.procedures.study_run import report_study, run_study
 from tissueid.procedures.test_run import TestControl
 from tissueid.reports import study_page
 from tissueid.reports.study_page import study_html, write_study_pdf

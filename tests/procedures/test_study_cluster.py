@@ -15,9 +15,9 @@ from procedures.test_study import fill, plan_of
 from tissueid.errors import UnusableInputError
 from tissueid.procedures import cluster as procedures_cluster
 from tissueid.procedures.cluster import ClusterExecutor, plan_executor
-from tissueid.procedures.comparison import ComparePlan, run_comparison
 from tissueid.procedures.control import Control
 from tissueid.procedures.gap_plans import FolderPlan
+from tissueid.procedures.identification import ComparePlan, run_comparison
 from tissueid.procedures.study_plans import RESULTS
 from tissueid.procedures.study_run import run_study
 

@@ -11,8 +11,7 @@ from reports.synthetic_sitting import make_session, make_test
 from tissueid.analysis.curves.samples import GRIDS, KERNEL1, KERNEL2, PARTITIONS, STIFFNESS
 from tissueid.procedures.control import Control
 from tissueid.procedures.study_plans import CURVES_FILE, RESULTS, StudyPlan, StudyReportPlan
-from tissueid.procedures.study_report import report_study
-from tissueid.procedures.study_run import run_study
+from tissueid.procedures.study_run import report_study, run_study
 from tissueid.reports import study_page
 from tissueid.sessions import Subject, write_session
 from tissueid.studies import multivariate, repeatability

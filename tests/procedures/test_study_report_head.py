@@ -8,8 +8,7 @@ from tissueid.device import SIMULATED_SERIAL
 from tissueid.procedures.control import Control
 from tissueid.procedures.study_plans import StudyPlan
 from tissueid.procedures.study_protocol import PROTOCOL_FILE
-from tissueid.procedures.study_report import study_name
-from tissueid.procedures.study_run import run_study
+from tissueid.procedures.study_run import run_study, study_name
 from tissueid.sessions import write_session
 
 

@@ -36,7 +36,7 @@ from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.procedures.calibration_plans import DynamicSweepPlan, Kind, StaticCalibrationPlan
 from tissueid.procedures.control import Control
-from tissueid.procedures.instrument_access import opening_after
+from tissueid.procedures.instruments import opening_after
 from tissueid.procedures.test_plan import NO_INSTRUMENT
 from tissueid.wire import Flag
 
@@ -320,11 +320,11 @@ def calibrate(
 ) -> CalibrationOutcome:
     """Run a calibration in the thread that owns the instrument."""
     if isinstance(plan, StaticCalibrationPlan):
-        from tissueid.procedures.calibration_runs import run_static_calibration
+        from tissueid.procedures.calibrations import run_static_calibration
 
         result = run_static_calibration(plan, prompts, trail, services.opener, services.now)
     else:
-        from tissueid.procedures.calibration_runs import run_sweep
+        from tissueid.procedures.calibrations import run_sweep
 
         result = run_sweep(plan, prompts, trail, services.opener, services.now)
     remarks = (*result.notes, *prompts.notices)

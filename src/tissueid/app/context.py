@@ -22,7 +22,7 @@ from tissueid.audit import AuditTrail, Role
 from tissueid.device import DeviceDescription
 from tissueid.language import _
 from tissueid.procedures.control import Control
-from tissueid.procedures.instrument_access import InstrumentAccess
+from tissueid.procedures.instruments import InstrumentAccess
 
 if TYPE_CHECKING:
     from tissueid.instrument.simulated import Wait

@@ -24,7 +24,7 @@ from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.instrument.twin_list import twins_in
 from tissueid.language import _, plural
 from tissueid.messages import Message, Verbatim, translated
-from tissueid.procedures.instrument_queries import survey_instruments
+from tissueid.procedures.instruments import survey_instruments
 from tissueid.procedures.recovery import RecoveredSession, recover_folder, unfinished_journals
 
 _MOST_NAMED = 4

@@ -23,7 +23,7 @@ from tissueid.app.notice import Notice
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
-from tissueid.procedures.contact_watch import ContactWatch, WatchEnd, watch_contact
+from tissueid.procedures.instruments import ContactWatch, WatchEnd, watch_contact
 from tissueid.procedures.test_plan import TestPlan
 
 

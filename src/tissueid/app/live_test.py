@@ -7,7 +7,7 @@ from tissueid.acquisition.playback import Progress
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.live_signals import LiveSignals, SafetyWatch
 from tissueid.instrument import Instrument, Limits, SimulatedInstrument
-from tissueid.procedures.instrument_queries import greatest_force_n
+from tissueid.procedures.instruments import greatest_force_n
 from tissueid.procedures.test_run import TestControl
 
 

@@ -55,7 +55,7 @@ from tissueid.language import ENGLISH, _, current_language, set_language
 from tissueid.messages import code_of, translated
 from tissueid.procedures.audit_queries import NOT_LOGGED, record_role
 from tissueid.procedures.control import BY_KEY
-from tissueid.procedures.instrument_access import opening_after
+from tissueid.procedures.instruments import opening_after
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Session, Test
 from tissueid.sessions.file_policy import RECORDS

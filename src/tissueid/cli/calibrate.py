@@ -22,17 +22,18 @@ from tissueid.cli.output import ConsoleControl, Output, at_terminal, console, pr
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, plus_minus
 from tissueid.messages import stored
-from tissueid.procedures.calibration_files import (
+from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
+from tissueid.procedures.calibrations import (
     CalibrationListPlan,
     CalibrationResult,
     ListedCalibration,
     ShowCalibrationPlan,
     listed_calibrations,
+    run_static_calibration,
+    run_sweep,
     saved_calibration,
 )
-from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
-from tissueid.procedures.calibration_runs import run_static_calibration, run_sweep
-from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.instruments import audit_trail
 from tissueid.procedures.output_files import check_different
 from tissueid.records import Estimate
 

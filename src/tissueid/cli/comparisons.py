@@ -17,7 +17,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.recommendation import Recommendation
 from tissueid.messages import MISSING, Message, stored
-from tissueid.procedures.comparison import ComparePlan, run_comparison
+from tissueid.procedures.identification import ComparePlan, run_comparison
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.overlay import OverlayPlan, RepeatsPlan, run_overlay, run_repeats
 from tissueid.sessions import Session

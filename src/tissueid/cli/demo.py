@@ -8,7 +8,7 @@ from tissueid.analysis import Analysis
 from tissueid.cli.output import Output, table
 from tissueid.cli.saved_tests import readable
 from tissueid.procedures.demo import DemoPlan, run_demo
-from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.instruments import audit_trail
 from tissueid.records import Estimate
 from tissueid.reports import ComparisonTable
 

@@ -28,12 +28,19 @@ from tissueid.gap.statement import (
 from tissueid.gap.twin_export import NamedEffects
 from tissueid.instrument.twin_file import TwinFile
 from tissueid.messages import MISSING
-from tissueid.procedures.diagnosis import diagnose_session
-from tissueid.procedures.gap_folder import diagnose_folder, watch_folder
+from tissueid.procedures.diagnosis import (
+    TwinFolderPlan,
+    TwinPlan,
+    accept_effects,
+    diagnose_folder,
+    diagnose_session,
+    saved_twin,
+    saved_twins,
+    watch_folder,
+)
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan, WatchPlan
-from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.instruments import audit_trail
 from tissueid.procedures.output_files import check_different
-from tissueid.procedures.saved_twins import TwinFolderPlan, TwinPlan, accept_effects, saved_twin, saved_twins
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGE_NAMES, Effect
 

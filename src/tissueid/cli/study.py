@@ -11,13 +11,12 @@ from tissueid.cli.output import ConsoleControl, Output, progress_bars, table
 from tissueid.cli.stop_key import StopKey, stop_key
 from tissueid.formatting import axis_label, label_and_unit, number
 from tissueid.messages import MISSING
-from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.instruments import audit_trail
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.study_demo import PopulationPlan, run_population
 from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_protocol import PROTOCOL_FILE, sitting_steps
-from tissueid.procedures.study_report import StudyReport, report_study
-from tissueid.procedures.study_run import StudyRun, run_study
+from tissueid.procedures.study_run import StudyReport, StudyRun, report_study, run_study
 from tissueid.procedures.study_sitting import (
     ProtocolPlan,
     SittingRunPlan,

@@ -30,7 +30,7 @@ from tissueid.procedures.depth_coverage import (
     out_of_reach,
     stimulus_of,
 )
-from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.instruments import audit_trail
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.test_plan import LIVE_METHODS, TestPlan
 from tissueid.procedures.test_run import TestControl, TestOutcome, TestStep, run_test

@@ -83,6 +83,15 @@ class Control:
     def progress(self, fraction: float | None, step: str) -> None:
         """Show a step, usually a ``Message``, and its completed share from 0 to 1; None where that is not known."""
 
+    def follow(self, step: str, share: float) -> None:
+        """Show a step and its completed share; the ``progress`` callback of ``analysis``.
+
+        Raises:
+            CancelledError: the procedure was cancelled.
+        """
+        self.progress(share, step)
+        self.check()
+
     def notice(self, message: str) -> None:
         """Show a message that does not end the procedure: a warning, or what it chose by itself."""
 

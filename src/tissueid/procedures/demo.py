@@ -1,4 +1,4 @@
-"""Demonstration: a complete test with simulated firmware over a real serial link, identification and report."""
+"""Demonstration: a complete test with simulated firmware over a real serial link, with a report; samples."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import json
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from tissueid.atomic_write import private_folder
 from tissueid.child_process import run, start
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.language import marked
@@ -22,7 +23,8 @@ from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_queries import audit_note
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import check_result_folder, json_text, write_text
+from tissueid.procedures.output_files import check_result_folder, check_session_path, json_text, write_text
+from tissueid.procedures.test_plan import TestPlan
 from tissueid.test_settings import TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
@@ -32,6 +34,7 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Instrument
     from tissueid.reports import ComparisonTable
     from tissueid.sessions import Session
+
 
 LARGE_N = (-5.0, 11.8)
 """Force range of the main test, N. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
@@ -220,3 +223,68 @@ def _answer(
         },
         "small_amplitude": asdict(comparison),
     }
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample session: instrument, values of its ``TestPlan``, and a command that shows what it is good for."""
+
+    url: str
+    values: Mapping[str, Any]
+    about: str
+    command: str
+
+
+SAMPLES: Mapping[str, Sample] = {
+    "forearm.h5": Sample(
+        "simulated://forearm?seed=1",
+        {"site": "left forearm", "subject": "P-001", "seconds": 3.0, "seed": 1, "repeats": 2},
+        "noise on a forearm, two repeats",
+        "tissueid compare forearm.h5 --engines lms,wiener,dpn",
+    ),
+    "anterior-forearm.h5": Sample(
+        "simulated://anterior-forearm?seed=1&subject=2",
+        {"site": "left anterior forearm", "subject": "P-002", "seconds": 3.0, "seed": 1, "repeats": 2},
+        "the same on the softer side of another person",
+        "tissueid repeats forearm.h5 anterior-forearm.h5 --engines lms",
+    ),
+    "steps.h5": Sample(
+        "simulated://forearm?seed=2",
+        {"site": "left forearm", "subject": "P-001", "stimulus": "step_hold", "min_force_n": 1.0, "max_force_n": 4.0},
+        "a step of force that is held, for creep",
+        "tissueid readings steps.h5 --model-session forearm.h5",
+    ),
+    "spring.h5": Sample(
+        "simulated://spring?seed=1",
+        {"site": "calibration spring", "subject": "none", "kind": "spring", "seconds": 2.0, "seed": 1},
+        "noise on the calibration spring, a linear system",
+        "tissueid identify spring.h5 --engine lms --test 1",
+    ),
+}
+"""The samples by the name of their file."""
+
+
+class SamplesPlan(Plan):
+    """The folder of the samples."""
+
+    out: Annotated[Path, Option("--out", metavar="DIR", help="folder for the sample sessions")]
+
+
+def make_samples(plan: SamplesPlan, control: Control) -> dict[str, Session]:
+    """Record all samples, and return them by the name of their file.
+
+    Raises:
+        UnusableInputError: a file exists, or the folder cannot be used.
+        CancelledError: it was cancelled; the complete samples are kept.
+    """
+    from tissueid.procedures.test_run import TestControl, run_test
+
+    private_folder(plan.out)
+    for name in SAMPLES:
+        check_session_path(plan.out / name)
+    made = {}
+    for done, (name, sample) in enumerate(SAMPLES.items()):
+        control.follow(Message("samples.step", "Recording {name}", name=Verbatim(name)), done / len(SAMPLES))
+        test = TestPlan(url=sample.url, out=plan.out / name, calibration=False, **sample.values)
+        made[name] = run_test(test, TestControl(), None).saved()
+    return made

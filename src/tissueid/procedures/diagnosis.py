@@ -1,24 +1,44 @@
-"""Diagnosis of the gap of a session."""
+"""Diagnosis of the gap: of a session, of all sessions of a folder, and twins with the effects that it names."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import hashlib
 import math
-from collections.abc import Mapping
+import shutil
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from tissueid.gap import Diagnosis, diagnose, executor, prepare
+from platformdirs import user_cache_path
+
+from tissueid.atomic_write import open_regular
+from tissueid.audit import AuditTrail
+from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.gap import Diagnosis, as_answer, diagnose, executor, prepare
+from tissueid.gap.answer import store_answer, stored_answer
 from tissueid.gap.search import STEPS
-from tissueid.gap.twin_export import NamedEffects, against_twin, named_effects
-from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin
+from tissueid.gap.statement import GapHistory, GapHistoryEntry
+from tissueid.gap.twin_export import NamedEffects, accept_named, against_twin, named_effects
+from tissueid.gap.workers import SerialExecutor
+from tissueid.instrument.twin_file import TwinFile, check_twin_name, check_twin_writable, read_twin, write_twin
 from tissueid.language import marked
-from tissueid.procedures.control import Control, RemainingTime, counted
-from tissueid.procedures.gap_plans import DiagnosisPlan
+from tissueid.messages import Verbatim
+from tissueid.plan_options import Option, Plan
+from tissueid.procedures.audit_queries import audit_note
+from tissueid.procedures.cluster import plan_executor
+from tissueid.procedures.control import Control, CountedProgress, RemainingTime, counted
+from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan, WatchPlan
 from tissueid.procedures.output_files import HTML, check_different, check_output, check_report, write_text
+from tissueid.procedures.separate_process import run_in_process
 from tissueid.sessions import Session, read_session
+from tissueid.sessions.file_policy import located, session_files, unreadable
 from tissueid.twin.catalogue import effect
+from tissueid.version import __version__
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # each takes long to import
     from tissueid.gap.search import SearchProgress, Work
 
 SHARES: Mapping[Work, tuple[float, float]] = {
@@ -133,3 +153,221 @@ class SearchDisplay:
             return _SINGLES + (1.0 - _SINGLES) * (1.0 - math.exp(-(self._steps_of_sets - 1 + part) / _TYPICAL_STEPS))
         begin, end = SHARES[self._what]
         return begin + part * (end - begin)
+
+
+_DIAGNOSING = marked("Diagnosing sessions")
+_CREATED, _REASON = "created", "reason"
+_BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class WatchedFolder:
+    """The history of the gap against a twin."""
+
+    plan: WatchPlan
+    twin: TwinFile
+    history: GapHistory
+
+    @property
+    def report_html(self) -> str:
+        """The report as HTML, in the language in force."""
+        from tissueid.reports.gap_page import watch_html
+
+        return watch_html(self.history, self.twin)
+
+
+def watch_folder(plan: WatchPlan, control: Control) -> WatchedFolder:
+    """Diagnose every session of a folder against a twin, and write the report if one is named.
+
+    Raises:
+        UnusableInputError: the twin, or every session, or a file cannot be used.
+        CancelledError: it was cancelled; nothing was written.
+    """
+    check_output(plan.report, HTML)
+    twin = read_twin(plan.twin)
+    answers = _diagnosed(twin, plan, control, as_answer)
+    entries = [_entry(path, answer) for path, answer in answers.items()]
+    if all(entry.answer is None for entry in entries):
+        raise UnusableInputError(
+            "gap.nothing_watched",
+            "no session of {folder} can be compared with the twin; {file}: {reason}",
+            folder=str(plan.folder),
+            file=Verbatim(entries[0].file),
+            reason=entries[0].reason,
+        )
+    watched = WatchedFolder(plan, twin, GapHistory.of(entries))
+    if plan.report is not None:
+        write_text(plan.report, watched.report_html)
+    return watched
+
+
+def diagnose_folder(
+    plan: FolderPlan, control: Control, of: Callable[[Diagnosis], dict[str, Any]]
+) -> dict[Path, dict[str, Any] | str]:
+    """Diagnose every session of a folder, and return ``of`` each diagnosis; the reason for a file that cannot be used.
+
+    ``of`` must be picklable: it is called in the processes that diagnose. It returns an answer for JSON.
+
+    Raises:
+        UnusableInputError: there are no session files.
+        CancelledError: it was cancelled.
+    """
+    answers = _diagnosed(None, plan, control, of)
+    return {path: answer.get(_REASON) or answer for path, answer in answers.items()}
+
+
+def _entry(path: Path, answer: dict[str, Any]) -> GapHistoryEntry:
+    created = answer.pop(_CREATED)
+    if (reason := answer.get(_REASON)) is not None:
+        return GapHistoryEntry(path.name, created, None, reason)
+    return GapHistoryEntry(path.name, created, answer)
+
+
+def _diagnosed(
+    twin: TwinFile | None, plan: FolderPlan, control: Control, of: Callable[[Diagnosis], dict[str, Any]]
+) -> dict[Path, dict[str, Any]]:
+    found = session_files(plan.folder)
+    if not found:
+        raise UnusableInputError("gap.no_sessions", "there are no session files in {folder}", folder=str(plan.folder))
+    files = [path for path, refused in found.items() if refused is None]
+    kept = _kept_answers(plan.folder, twin, of)
+    done = CountedProgress(control, _DIAGNOSING, len(files))
+    try:
+        with plan_executor(plan.workers, plan) as pool:
+            work = functools.partial(_of_file, of, twin, kept)
+            answers = dict(zip(files, pool.do(work, files, control.check, done), strict=True))
+    except (CancelledError, KeyboardInterrupt):
+        shutil.rmtree(kept, ignore_errors=True)
+        raise
+    shutil.rmtree(kept, ignore_errors=True)
+    return {path: answers.get(path) or {_CREATED: "", _REASON: refused} for path, refused in found.items()}
+
+
+def _kept_answers(folder: Path, twin: TwinFile | None, of: Callable[[Diagnosis], dict[str, Any]]) -> Path:
+    # One folder for each folder of sessions, twin, kind of answer and version.
+    about = (str(folder.resolve()), "" if twin is None else twin.model_dump_json(), of.__qualname__)
+    digest = hashlib.sha256("\0".join((*about, __version__)).encode()).hexdigest()
+    return user_cache_path("tissueid", appauthor=False) / "gap" / digest[:32]
+
+
+def _of_file(
+    of: Callable[[Diagnosis], dict[str, Any]], twin: TwinFile | None, kept: Path, path: Path
+) -> dict[str, Any]:
+    # One process per session is faster than all processes on one session after another.
+    try:
+        with open_regular(path) as file:
+            digest = hashlib.sha256()
+            while block := file.read(_BLOCK_BYTES):
+                digest.update(block)
+            key = digest.hexdigest()
+    except OSError as error:
+        return {_CREATED: "", _REASON: located(str(path), unreadable(error))}
+    if (before := _kept_answer(kept, key)) is not None:
+        return before
+    created = ""
+    try:
+        session = read_session(path)
+        created = session.created
+        dataset, known = against_twin(prepare(session), twin)
+        answer = of(diagnose(dataset, SerialExecutor(), known=known)) | {_CREATED: created}
+    except UnusableInputError as error:
+        return {_CREATED: created, _REASON: error.message}
+    with contextlib.suppress(UnusableInputError):  # without a cache, the procedure begins again after a kill
+        store_answer(kept, key, answer)
+    return answer
+
+
+def _kept_answer(kept: Path, key: str) -> dict[str, Any] | None:
+    with contextlib.suppress(UnusableInputError):  # a damaged file is replaced
+        return stored_answer(kept, key)
+    return None
+
+
+class TwinPlan(Plan):
+    """A saved twin."""
+
+    file: Annotated[Path, Option(argument=True, metavar="TWIN.toml", help="a saved twin")]
+
+
+class TwinFolderPlan(Plan):
+    """A folder with saved twins."""
+
+    folder: Annotated[Path, Option(argument=True, metavar="DIR", help="folder; default: the current one")] = Path()
+
+
+def saved_twin(plan: TwinPlan) -> TwinFile:
+    """Read a twin.
+
+    Raises:
+        UnusableInputError: the file is not a twin.
+    """
+    return read_twin(plan.file)
+
+
+def saved_twins(plan: TwinFolderPlan) -> dict[Path, TwinFile]:
+    """Read the twins of a folder, by file name; other files are left out.
+
+    Raises:
+        UnusableInputError: the folder does not exist.
+    """
+    from tissueid.instrument.twin_list import SUFFIX
+
+    if not plan.folder.is_dir():
+        raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(plan.folder))
+    found = {}
+    for path in sorted(plan.folder.glob(f"*{SUFFIX}")):
+        try:
+            found[path] = read_twin(path)
+        except UnusableInputError:
+            continue
+    return found
+
+
+def accept_effects(
+    plan: AcceptPlan,
+    control: Control,
+    trail: AuditTrail,
+    named: NamedEffects | None = None,
+    *,
+    separate_process: bool = False,
+) -> TwinFile:
+    """Save a twin with effects of a session, log it and return its content.
+
+    Args:
+        plan: with the chosen effects; none accepts those of ``named``.
+        control: progress and cancellation.
+        trail: of the audit log.
+        named: what a diagnosis names; another choice of effects is fitted to the session. Its baseline twin counts
+            instead of that of the plan.
+        separate_process: fit in another process.
+
+    Raises:
+        UnusableInputError: there is nothing to accept, or the session, the twin, its name or an effect cannot be used.
+        CancelledError: it was cancelled; nothing was written.
+    """
+    check_twin_writable(plan.out)
+    baseline = None if named is None else named.baseline
+    if named is None and plan.twin is not None:
+        baseline = read_twin(plan.twin)
+    name = plan.name or (plan.out.stem if baseline is None else baseline.name)
+    check_twin_name(name)
+    if named is not None and set(plan.effects or named.effects) == set(named.effects):
+        content = named.twin_called(name)
+    elif not plan.effects:
+        raise UnusableInputError("gap.accept_none", "There is nothing to accept: no effect is chosen.")
+    else:
+        fitted = functools.partial(_fitted, plan, name, baseline)
+        content = run_in_process(fitted, control) if separate_process else fitted(control)
+    write_twin(plan.out, content)
+    new = {"file": plan.out.name, "name": content.name, "version": content.version}
+    new |= {"effects": [item.name for item in content.effects]}
+    audit_note(trail, control, "twin.accepted", subject=content.source.session_id, new=new)
+    return content
+
+
+def _fitted(plan: AcceptPlan, name: str, baseline: TwinFile | None, control: Control) -> TwinFile:
+    display = SearchDisplay(control)
+    with executor(plan.workers) as pool:
+        return accept_named(
+            plan.session, plan.effects, name, baseline, pool, display, plan.fit, plan.check, control.check
+        )

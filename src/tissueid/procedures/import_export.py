@@ -15,7 +15,7 @@ from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_queries import audit_note
 from tissueid.procedures.control import Control
-from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
+from tissueid.procedures.test_plan import PseudonymConfirmed, check_subject
 from tissueid.untrusted_input import RATES_HZ
 
 if TYPE_CHECKING:  # each takes long to import

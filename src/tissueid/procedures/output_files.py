@@ -15,6 +15,8 @@ from tissueid.stored_values import finite
 from tissueid.untrusted_input import json_value
 
 if TYPE_CHECKING:
+    from tissueid.reports.comparison_page import ComparisonReport
+    from tissueid.reports.overlay_page import OverlayReport
     from tissueid.sessions import Session
 
 
@@ -142,6 +144,20 @@ def write_text(target: Path, text: str) -> None:
     """
     with writing(target), atomic_file(target) as partial:
         partial.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def write_figures(report: ComparisonReport | OverlayReport, page: Path | None, folder: Path | None) -> tuple[Path, ...]:
+    """Write the page and the figures of a report, as far as they are wanted; return the files of the figures.
+
+    Raises:
+        UnusableInputError: one cannot be written.
+    """
+    try:
+        if page is not None:
+            report.write(page)
+        return () if folder is None else report.write_figures(folder)
+    except OSError as error:
+        raise unwritable(Path(error.filename or page or folder or ""), error) from error
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,9 +15,9 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import csv_text
 from tissueid.messages import Message, Verbatim, joined
 from tissueid.plan_options import Option, Plan, name_and_value
-from tissueid.procedures.comparison import check_figures
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import HTML, check_different, check_output, unwritable, write_text
+from tissueid.procedures.identification import check_figures
+from tissueid.procedures.output_files import HTML, check_different, check_output, write_figures, write_text
 
 if TYPE_CHECKING:  # each takes long to import
     import numpy as np
@@ -117,14 +118,7 @@ def run_overlay(plan: OverlayPlan, control: Control) -> Overlaid:
 
     control.progress(None, Message("report.drawing", "Drawing the figures"))
     report = overlay_report(found, calibration)
-    figures: tuple[Path, ...] = ()
-    try:
-        if plan.page is not None:
-            report.write(plan.page)
-        if plan.figures is not None:
-            figures = report.write_figures(plan.figures)
-    except OSError as error:
-        raise unwritable(Path(error.filename or plan.page or plan.figures or ""), error) from error
+    figures = write_figures(report, plan.page, plan.figures)
     if plan.csv is not None:
         write_text(plan.csv, report.csv())
     return Overlaid(found, figures)
@@ -159,11 +153,6 @@ def fitted(
 
     fits = named_fits(plan.engines, plan.fits)
     sources = read_sources(plan.sources, every=every)
-
-    def show(step: str, share: float) -> None:
-        control.progress(share, step)
-        control.check()
-
     return overlay(
         sources,
         fits,
@@ -172,7 +161,7 @@ def fitted(
         sweep=sweep,
         input_name=plan.input_name,
         output_name=plan.output_name,
-        progress=show,
+        progress=control.follow,
     )
 
 
@@ -227,8 +216,6 @@ def read_sources(texts: Sequence[str], *, every: bool = False) -> list[TestSourc
     Raises:
         UnusableInputError: a source has another form, a session cannot be read, or it lacks a test.
     """
-    from functools import cache
-
     from tissueid.analysis.overlay import TestSource
     from tissueid.sessions import read_session
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,8 +11,9 @@ from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.plan_options import Option, Plan, parse_options
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control
+from tissueid.procedures.identification import engine_options
 from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, check_report, write_text, writing
 
 if TYPE_CHECKING:
@@ -110,11 +111,7 @@ def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
     from tissueid.sessions import read_session
 
     check_output(plan.page, HTML)
-    options = parse_options(plan.options)
-    if plan.memory_s is not None:
-        if "memory" in options:
-            raise UnusableInputError("identify.memory_twice", "the memory is given twice, by --memory and by --option")
-        options["memory"] = plan.memory_s
+    options = engine_options(plan.options, plan.memory_s)
     engine = get_engine(plan.engine).from_options(options)
     session = read_session(plan.session)
     check_report(plan.page, session)
@@ -125,17 +122,12 @@ def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
     stochastic = next((test.number for test in fitted.tests if test.kind == "stochastic"), None)
     number = stochastic if number is None else fitted.test(number).number
     control.check()
-
-    def progress(done: int, total: int) -> None:
-        control.progress(done / total, _REFITTING)
-        control.check()
-
     found = device_readings(
         step,
         None if number is None else lambda: analyse(fitted, plan.engine, options, test=number),
         engine,
         draws=plan.draws,
-        progress=progress,
+        progress=lambda done, total: control.follow(_REFITTING, done / total),
     )
     if plan.page is not None:
         from tissueid.reports.readings_page import readings_page
@@ -209,8 +201,7 @@ def analyse_test(
     names = engines_of(test) if engines is None else tuple(dict.fromkeys(engines))
     for done, name in enumerate(names):
         get_engine(name)
-        control.progress(done / len(names), _FITTING)
-        control.check()
+        control.follow(_FITTING, done / len(names))
         try:
             analyses |= analyse_all(session, (name,), test=test, tissue_alone=tissue_alone)
         except UnusableInputError as error:
@@ -250,8 +241,13 @@ def write_pdf(
     return path
 
 
-def run_report(plan: ReportPlan, control: Control) -> AnalysedTest:
+def run_report(plan: ReportPlan, control: Control, opened: Callable[[], Session] | None = None) -> AnalysedTest:
     """Analyse a test, write the files of the plan, and return the analyses.
+
+    Args:
+        plan: the test and the files.
+        control: progress and cancellation.
+        opened: returns the session; by default it is read from the file of the plan.
 
     Raises:
         UnusableInputError: the test or an engine is unknown, no engine can use the test, or a file cannot be written.
@@ -261,7 +257,7 @@ def run_report(plan: ReportPlan, control: Control) -> AnalysedTest:
     check_output(plan.page, HTML)
     check_output(plan.pdf, PDF)
     check_different(plan.page, plan.pdf)
-    session = read_session(plan.session)
+    session = read_session(plan.session) if opened is None else opened()
     for target in (plan.page, plan.pdf):
         check_report(target, session)
     analysed = analyse_test(session, plan.test, plan.engines, control, tissue_alone=plan.tissue_alone)

@@ -288,7 +288,7 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
         LimitError: the instrument would refuse the stimulus.
         CancelledError: it was cancelled.
     """
-    from tissueid.procedures.instrument_queries import described_device
+    from tissueid.procedures.instruments import described_device
     from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus
 
     plan.check()

@@ -22,7 +22,7 @@ from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import json_text, stored_values, write_text
 from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
-from tissueid.procedures.study_report import StudyReport, report_study
+from tissueid.procedures.study_run import StudyReport, report_study
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions.file_policy import journal_path
 from tissueid.twin.chain_parameters import Tissue
@@ -267,9 +267,7 @@ def measure_series(plan: PopulationPlan, series: Series) -> Path:
     outcome = run_test(test, TestControl(), None, opener=opened)
     if outcome.error is not None:
         test.out.unlink(missing_ok=True)
-        raise outcome.error
-    if outcome.not_saved is not None:
-        raise outcome.not_saved
+    outcome.saved()
     return test.out
 
 

@@ -1,8 +1,9 @@
-"""The plan of a test: its options and their checks before an instrument is opened."""
+"""The plan of a test: its options, the rule for its subject, and their checks before an instrument is opened."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -10,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import ANONYMOUS
+from tissueid.formatting import ANONYMOUS, clean
 from tissueid.language import marked
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Action, Message, Verbatim
 from tissueid.plan_options import Option, name_and_value, named_values
 from tissueid.procedures.control import Control
-from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
 from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS, FilePlayback, Setting, TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
@@ -24,6 +24,65 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.stimuli import OpenLoopKind, Stimulus, StimulusKind
     from tissueid.stimuli.depth_uniform import DepthDesign
     from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
+
+
+PseudonymConfirmed = Annotated[
+    bool, Option("--confirm-pseudonym", help="the subject is a pseudonym although it looks like a name")
+]
+"""Field of a plan with a subject."""
+_CONFIRM = Action("subject.confirm", "--confirm-pseudonym", marked("“This is a pseudonym, not a name”"))
+_WORD = re.compile(r"[^\W\d_]+(?:['’-][^\W\d_]+)*\.?")
+_JOINT = re.compile(r",|_|(?<=[^\W\d_])\.(?=[^\W\d_]{2})")
+"""What stands between two words: comma, low line, or a dot within a word; that of an initial stays."""
+_PARTICLES = frozenset(
+    {"de", "den", "der", "del", "di", "da", "du", "la", "le", "van", "von", "zu", "zur", "bin", "al"}
+)
+_TITLES = frozenset({"mr", "mrs", "ms", "dr", "prof", "herr", "frau"})
+_SHORTEST_SHOUTED = 3
+"""Letters of a word in capitals that may be a name; shorter ones are abbreviations."""
+_MOST_WORDS = 6
+_LONGEST = 80
+
+
+def reads_like_name(text: str) -> bool:
+    """Whether a pseudonym looks like a real name: two capitalised words and nothing else, as in "John Smith".
+
+    Initials, titles, particles and the order "Smith, John" are known, also with dots or low lines between the words;
+    anything with a digit in it is a code.
+    """
+    parts = _JOINT.sub(" ", text).split()
+    if not 2 <= len(parts) <= _MOST_WORDS or not all(_WORD.fullmatch(part) for part in parts):
+        return False
+    words = [part for part in parts if part.lower() not in _PARTICLES]
+    named = [word for word in words if word.lower().rstrip(".") not in _TITLES]
+    titled = len(named) < len(words)
+    full = [word for word in named if _capitalised(word)]
+    initials = [word for word in named if len(word.rstrip(".")) == 1 and word[0].isupper()]
+    return len(full) + len(initials) == len(named) and (len(named) >= 2 or titled) and bool(full)
+
+
+def _capitalised(word: str) -> bool:
+    letters = word.rstrip(".")
+    if letters.isupper():
+        return len(letters) >= _SHORTEST_SHOUTED
+    return len(letters) > 1 and letters[0].isupper()
+
+
+def check_subject(text: str, *, confirmed: bool) -> None:
+    """Refuse a subject that looks like a person's name, unless a person confirmed that it is a pseudonym.
+
+    Raises:
+        UnusableInputError: it looks like a name.
+    """
+    if not confirmed and reads_like_name(text):
+        raise UnusableInputError(
+            "subject.name",
+            "the subject '{text}' looks like a person's name: use a pseudonym such as P-001, or confirm that it is one "
+            "with {option}",
+            text=Verbatim(clean(text)[:_LONGEST]),
+            option=_CONFIRM,
+        )
+
 
 NO_INSTRUMENT = Message("plan.no_instrument", "choose an instrument, or type its address")
 MAX_TEXT = 200

@@ -91,6 +91,17 @@ class TestOutcome:
     error: BaseException | None = None
     not_saved: Exception | None = None
 
+    def saved(self) -> Session:
+        """Return the saved session.
+
+        Raises:
+            BaseException: why the test ended early, or the recording could not be saved.
+        """
+        if (reason := self.error or self.not_saved) is not None:
+            raise reason
+        assert self.session is not None  # it is None only with a reason
+        return self.session
+
     @property
     def cancelled(self) -> bool:
         """Whether the control cancelled it."""

@@ -16,7 +16,7 @@ from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, outline
 from tissueid.device import DeviceDescription
 from tissueid.errors import LinkLostError
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument
-from tissueid.procedures.contact_watch import ContactWatch, watch_contact
+from tissueid.procedures.instruments import ContactWatch, watch_contact
 from tissueid.wire import Flag
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]

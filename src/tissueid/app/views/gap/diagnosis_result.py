@@ -120,7 +120,7 @@ def accept_into_twin(
     """
     from tissueid.app.jobs import JobControl
     from tissueid.gap.twin_export import NamedEffects
-    from tissueid.procedures.saved_twins import accept_effects
+    from tissueid.procedures.diagnosis import accept_effects
 
     if why := why_not_accepted(result):
         raise UnusableInputError(why)

@@ -19,8 +19,8 @@ from tissueid.formatting import clean, fixed, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import Listing, Message, Verbatim, translated
-from tissueid.procedures.comparison import compare_engines
 from tissueid.procedures.control import Control
+from tissueid.procedures.identification import compare_engines
 from tissueid.sessions import Session, read_session
 
 _SUFFIX = ".h5"

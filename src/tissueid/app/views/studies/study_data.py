@@ -242,7 +242,7 @@ def report_and_load(plan: StudyReportPlan, control: Control) -> tuple[Path, Stud
         UnusableInputError: the folder, the engine, an option or a file cannot be used, or a package is missing.
         CancelledError: it was cancelled; what is analysed already is kept.
     """
-    from tissueid.procedures.study_report import report_study
+    from tissueid.procedures.study_run import report_study
 
     found = report_study(plan, control)
     keep_figures(plan.folder, figures_of(found.statistics))

@@ -17,7 +17,7 @@ from tissueid.formatting import fixed, grouped
 from tissueid.instrument.thermal import PLAUSIBLE_C
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
-from tissueid.procedures.instrument_queries import Checkup
+from tissueid.procedures.instruments import Checkup
 from tissueid.sessions import read_outline, read_test
 from tissueid.sessions.model import IMPORTED
 

@@ -25,7 +25,7 @@ from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.file import Calibration
 from tissueid.formatting import clean, figure_text, fixed, grouped, number
 from tissueid.language import _, marked
-from tissueid.procedures.instrument_queries import Checkup, LinkStatistics, run_checkup
+from tissueid.procedures.instruments import Checkup, LinkStatistics, run_checkup
 from tissueid.units import unit_of
 
 _LEVELS = ("poor", "check", "good")

@@ -1,18 +1,24 @@
-"""What is asked of instruments without a test; the coil stays free."""
+"""Access to instruments and to the audit log, and what is asked of instruments without a test; the coil stays free."""
 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tissueid.acquisition.surface_detection import RECENT_S, Contact, contact_of_free
+from tissueid.audit import AuditLog, AuditTrail, Role, active_role, default_path
+from tissueid.calibration.active import activate_calibration
 from tissueid.device import DeviceDescription
 from tissueid.instrument import (
     PROFILES,
     RESEARCH,
+    SAMPLE,
     FoundInstrument,
     Instrument,
     Limits,
@@ -22,6 +28,46 @@ from tissueid.instrument import (
 )
 from tissueid.instrument.replies import describe_faults
 from tissueid.plan_options import Option, Plan
+from tissueid.wire import Flag
+
+
+def user_log() -> AuditLog:
+    """Return the audit log of this computer."""
+    return AuditLog(default_path())
+
+
+def audit_trail(role: Role = "researcher") -> AuditTrail:
+    """Return a trail in the audit log of this computer; ``TISSUEID_ROLE`` overrides ``role``.
+
+    Raises:
+        UnusableInputError: ``TISSUEID_ROLE`` is not a role.
+    """
+    return AuditTrail(user_log(), active_role(role))
+
+
+def opening_after(ready: Callable[[], None], opener: Callable[[str], Instrument]) -> Callable[[str], Instrument]:
+    """Return an opener of instruments that calls ``ready`` first, which waits or raises."""
+
+    def opened(url: str) -> Instrument:
+        ready()
+        return opener(url)
+
+    return opened
+
+
+@dataclass(frozen=True)
+class InstrumentAccess:
+    """How instruments are opened, found and calibrated, and the audit log of what is done; tests replace them.
+
+    ``opener`` opens the instrument at an address, ``finder`` lists instruments, ``calibrate`` activates the newest
+    calibration of an instrument.
+    """
+
+    opener: Callable[[str], Instrument] = open_instrument
+    finder: Callable[..., list[FoundInstrument]] = find_instruments
+    calibrate: Callable[[Instrument], object] = activate_calibration
+    audit: AuditLog = field(default_factory=user_log)
+
 
 LISTEN_S = 1.0
 """Duration over which samples are read, s."""
@@ -183,3 +229,111 @@ def _link(instrument: Instrument) -> LinkStatistics | None:
         return None
     frames = instrument.statistics
     return LinkStatistics(frames.accepted, frames.refused, instrument.repeated_requests, instrument.round_trip_s)
+
+
+LONGEST_S = 180.0
+"""Maximum duration of a watch, s; it then closes the port."""
+_WATCH_POLL_S = 0.05
+
+
+class ContactWatch:
+    """State of a contact watch, shared by the thread that polls and the window.
+
+    ``armed`` is set by the window: only then does the button on the instrument count, once it was seen released.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._contact = Contact.FINDING
+        self.device: DeviceDescription | None = None
+        self.greatest_force_n = math.inf
+        self.has_button = False
+        self.refused = False
+        self.armed = threading.Event()
+
+    @property
+    def contact(self) -> Contact:
+        """Current contact of the probe."""
+        with self._lock:
+            return self._contact
+
+    @contact.setter
+    def contact(self, found: Contact) -> None:
+        with self._lock:
+            self._contact = found
+
+
+@dataclass(frozen=True)
+class WatchEnd:
+    """How a watch ended: ``pressed`` where the button was pressed and released while it was armed."""
+
+    pressed: bool = False
+    too_long: bool = False
+
+
+def watch_contact(
+    url: str,
+    state: ContactWatch,
+    stop: threading.Event,
+    opener: Callable[[str], Instrument],
+    calibrate: Callable[[Instrument], object],
+) -> WatchEnd:
+    """Read the instrument until ``stop``; the coil stays free throughout.
+
+    Raises:
+        TissueIDError, OSError: the instrument cannot be opened, or is lost.
+    """
+    from tissueid.instrument.simulated import SimulatedInstrument
+
+    instrument = opener(url)
+    try:
+        calibrate(instrument)
+        device = instrument.device
+        simulated = isinstance(instrument, SimulatedInstrument)
+        state.has_button = not simulated
+        state.greatest_force_n = greatest_force_n(instrument)
+        state.device = device
+        recent: NDArray[np.void] = np.zeros(0, SAMPLE)
+        button = _Button()
+        seen = 0
+        while not stop.is_set():
+            samples = instrument.poll(_WATCH_POLL_S)
+            if simulated:
+                stop.wait(samples.size / device.sample_rate_hz)
+            seen += samples.size
+            recent = np.concatenate([recent, samples])[-round(RECENT_S * device.sample_rate_hz) :]
+            state.contact = contact_of_free(recent, device)
+            received = samples["flags"][np.isfinite(samples["position"])]
+            if button.pressed_in(received, armed=state.armed.is_set()):
+                # A press with the probe off the skin is more likely an accident.
+                if state.contact in (Contact.ON, Contact.UNTOLD):
+                    return WatchEnd(pressed=True)
+                state.refused = True
+            if seen > LONGEST_S * device.sample_rate_hz:
+                return WatchEnd(too_long=True)
+        return WatchEnd()
+    finally:
+        instrument.close()
+
+
+class _Button:
+    """Distinguishes a press and its release from a button that was down before it was armed."""
+
+    def __init__(self) -> None:
+        self._was_up = False
+        self._down = False
+
+    def pressed_in(self, flags: NDArray[np.uint16], *, armed: bool) -> bool:
+        """Return whether it was pressed and released; flags of the newest samples, shape (k,)."""
+        if not armed:
+            self._was_up = self._down = False
+            return False
+        for down in (flags & Flag.BUTTON) != 0:
+            if down:
+                self._down = self._was_up
+                continue
+            if self._down:
+                self._was_up = self._down = False
+                return True
+            self._was_up = True
+        return False
