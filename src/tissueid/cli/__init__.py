@@ -81,7 +81,9 @@ def _failed(error: Exception) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}", 2)
     package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
-    return _fail(str(missing_package(package)), 2) if package in EXTRAS else _report_defect()
+    if package in EXTRAS:
+        return _fail(str(missing_package(package)), 2)
+    return _fail(f"internal error; please report the file {_keep_traceback()}", 1)
 
 
 @cache
@@ -130,10 +132,6 @@ def _fail(message: str, status: int) -> int:
         line = clean(line)
     print(f"tissueid: {line}", file=sys.stderr)
     return status
-
-
-def _report_defect() -> int:
-    return _fail(f"internal error; please report the file {_keep_traceback()}", 1)
 
 
 def _keep_traceback() -> Path:

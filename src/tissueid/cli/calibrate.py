@@ -26,7 +26,6 @@ from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibr
 from tissueid.procedures.calibrations import (
     CalibrationListPlan,
     CalibrationResult,
-    ListedCalibration,
     ShowCalibrationPlan,
     listed_calibrations,
     run_static_calibration,
@@ -234,21 +233,19 @@ def print_calibrations(plan: CalibrationListPlan, out: Output) -> None:
         out.print(f"there are no calibrations in {folder}", soft_wrap=True)
     else:
         out.print(rows)
-    answers = [_answer(item) for item in listed]
-    out.write_json({"folder": None if folder is None else str(folder), "calibrations": answers})
-
-
-def _answer(item: ListedCalibration) -> dict[str, object]:
-    status = item.status
     about = ("serial_number", "model", "kind", "date", "verdict")
-    return {
-        "file": str(item.path),
-        **{name: getattr(item.calibration, name, None) for name in about},
-        "state": status.state,
-        "words": status.words,
-        "message": stored(status.words),
-        "newest_that_passed": item.newest,
-    }
+    answers = [
+        {
+            "file": str(item.path),
+            **{name: getattr(item.calibration, name, None) for name in about},
+            "state": item.status.state,
+            "words": item.status.words,
+            "message": stored(item.status.words),
+            "newest_that_passed": item.newest,
+        }
+        for item in listed
+    ]
+    out.write_json({"folder": None if folder is None else str(folder), "calibrations": answers})
 
 
 def print_calibration(plan: ShowCalibrationPlan, out: Output) -> None:

@@ -11,7 +11,6 @@ from rich.table import Table
 from tissueid.acquisition.quality import Quality, quality_of
 from tissueid.analysis import Analysis
 from tissueid.analysis.device_readings import DeviceReadings
-from tissueid.analysis.step_readings import Reading
 from tissueid.cli.output import Output, table
 from tissueid.configuration import travel_word
 from tissueid.formatting import fixed, label_and_unit, plain_text, plus_minus
@@ -181,18 +180,19 @@ def list_engines(plan: EnginesPlan, out: Output) -> None:
         options = _options(kinds[0]).items()
         rows = [(name, plain_text(declared["default"]), declared["description"]) for name, declared in options]
         out.print(table("Options", "Option", "Default", "Description", rows=rows))
-    out.write_json([_declaration(kind) for kind in kinds])
-
-
-def _declaration(kind: type[Engine]) -> dict[str, Any]:
-    return {
-        "engine": kind.name,
-        "label": kind.label,
-        "title": kind.title,
-        "family": str(kind.family),
-        "interpretability": kind.family.interpretability,
-        "options": _options(kind),
-    }
+    out.write_json(
+        [
+            {
+                "engine": kind.name,
+                "label": kind.label,
+                "title": kind.title,
+                "family": str(kind.family),
+                "interpretability": kind.family.interpretability,
+                "options": _options(kind),
+            }
+            for kind in kinds
+        ]
+    )
 
 
 def _options(kind: type[Engine]) -> dict[str, dict[str, Any]]:
@@ -219,16 +219,13 @@ def print_readings(plan: ReadingsPlan, out: Output) -> None:
         definition = recorded.definition
         unit, scale = display_unit(definition.si_unit)
         marks = [str(reasons.setdefault(one.reason, len(reasons) + 1)) for one in (recorded, model) if one.reason]
-        cells = [_cell(one, scale) for one in (recorded, model)]
+        found_values = [one.found for one in (recorded, model)]
+        cells = [MISSING if value is None else plus_minus(value, scale) for value in found_values]
         rows.add_row(definition.symbol, str(definition.meaning), *cells, unit, ",".join(dict.fromkeys(marks)))
     out.print(rows)
     out.print_lines([*(f"  {number}. {reason}" for reason, number in reasons.items()), *map(str, found.notes)])
     out.print_files(report=plan.page)
     out.write_json({"session_id": result.session.session_id} | found.as_answer())
-
-
-def _cell(reading: Reading, scale: float) -> str:
-    return MISSING if reading.found is None else plus_minus(reading.found, scale)
 
 
 def _title(found: DeviceReadings) -> str:

@@ -26,37 +26,6 @@ _SOURCE = re.compile(r"\s*\([^()]*\d{4}[^()]*\)")
 _WORDS = {float: "number", int: "whole number", bool: "true or false", str: "text", tuple: "list"}
 
 
-def kinds_answer() -> list[dict[str, Any]]:
-    """Return all kinds for JSON: name, description, whether they are feedback stimuli, options."""
-    return [
-        {
-            "kind": name,
-            "what": summary(get_stimulus(name)),
-            "generated_while_the_test_runs": issubclass(get_stimulus(name), FeedbackKind),
-            "options": list(get_stimulus(name).model_fields),
-        }
-        for name in stimulus_names()
-    ]
-
-
-def kinds_table() -> Table:
-    """Return the table of all kinds."""
-    kinds = {name: get_stimulus(name) for name in stimulus_names()}
-    rows = [
-        (name, f"{'during' if issubclass(kind, FeedbackKind) else 'before'} the test", summary(kind))
-        for name, kind in kinds.items()
-    ]
-    return table("Kinds of stimulus", "kind", "generated", "description", rows=rows, left=True)
-
-
-def options_table(kind: type[StimulusKind]) -> Table:
-    """Return the table of the options of a kind with bounds and defaults."""
-    fields = kind.model_fields.items()
-    rows = [(name, default_of(field), allowed(field), field.description or "") for name, field in fields]
-    columns = ("option", "default", "values", "description")
-    return table(f"Options of the stimulus {kind.name}", *columns, rows=rows, left=True)
-
-
 def summary(kind: type[StimulusKind]) -> str:
     """Return the first line of the description of a kind, without sources."""
     lines = (kind.__doc__ or "").strip().splitlines()
@@ -129,12 +98,30 @@ def print_stimulus(plan: StimulusPlan, out: Output) -> None:
 def _list(kind: str | None, out: Output) -> Any:
     """Print all kinds, or the options of one; return them for JSON."""
     if kind is None:
-        out.print(kinds_table())
+        kinds = {name: get_stimulus(name) for name in stimulus_names()}
+        answer = [
+            {
+                "kind": name,
+                "what": summary(one),
+                "generated_while_the_test_runs": issubclass(one, FeedbackKind),
+                "options": list(one.model_fields),
+            }
+            for name, one in kinds.items()
+        ]
+        rows = [
+            (name, f"{'during' if issubclass(one, FeedbackKind) else 'before'} the test", summary(one))
+            for name, one in kinds.items()
+        ]
+        out.print(table("Kinds of stimulus", "kind", "generated", "description", rows=rows, left=True))
         out.print("'tissueid stimulus KIND --options' lists the options of a kind.", style="dim")
-        return kinds_answer()
-    out.print(options_table(get_stimulus(kind)))
+        return answer
+    chosen = get_stimulus(kind)
+    fields = chosen.model_fields.items()
+    options = [(name, default_of(field), allowed(field), field.description or "") for name, field in fields]
+    columns = ("option", "default", "values", "description")
+    out.print(table(f"Options of the stimulus {chosen.name}", *columns, rows=options, left=True))
     out.print("Lists are JSON, such as --option 'notches=[[45, 55]]'.", style="dim")
-    return get_stimulus(kind).model_json_schema()
+    return chosen.model_json_schema()
 
 
 def _print_design(design: StimulusDesign, out: Output) -> dict[str, Any]:

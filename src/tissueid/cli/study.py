@@ -153,7 +153,19 @@ def print_sitting(plan: SittingRunPlan, out: Output) -> None:
                 _print_state(state, out)
         raise
     _print_state(state, out)
-    out.write_json(_sitting_answer(state))
+    out.write_json(
+        {
+            "subject": state.subject,
+            "steps": state.total,
+            "done": _done(state),
+            "tests": [test.condition.model_dump() | {"site": test.site, "counts": test.counts} for test in state.tests],
+            "problems": dict(state.problems),
+        }
+    )
+
+
+def _done(state: SittingState) -> int:
+    return state.total if state.step is None else state.step.place - 1
 
 
 class _SittingControl(ConsoleControl):
@@ -169,23 +181,10 @@ class _SittingControl(ConsoleControl):
 
 
 def _print_state(state: SittingState, out: Output) -> None:
-    step = state.step
-    done = state.total if step is None else step.place - 1
-    out.print(f"{state.subject}: {done} of {state.total} steps done")
+    out.print(f"{state.subject}: {_done(state)} of {state.total} steps done")
     if poor := sum(not test.counts for test in state.tests):
         out.print(f"{poor} tests do not count: their quality is 'repeat'")
-    if step is not None:
+    if (step := state.step) is not None:
         where = f"{step.site}, test {step.repeat} of {step.repeats}"
         out.print(f"next: {where}; the same command continues", soft_wrap=True)
     out.print(f"sessions: {state.sessions}", soft_wrap=True)
-
-
-def _sitting_answer(state: SittingState) -> dict[str, object]:
-    step = state.step
-    return {
-        "subject": state.subject,
-        "steps": state.total,
-        "done": state.total if step is None else step.place - 1,
-        "tests": [test.condition.model_dump() | {"site": test.site, "counts": test.counts} for test in state.tests],
-        "problems": dict(state.problems),
-    }

@@ -176,10 +176,6 @@ def run_import(plan: ImportPlan, control: Control, trail: AuditTrail) -> Importe
     """
     from tissueid.sessions.imports import Source, import_session, instrument_figures, parse_map
 
-    def progress(step: str, share: float) -> None:
-        control.check()
-        control.progress(share, step)
-
     made = import_session(
         [Source.parsed(str(file)) for file in plan.files],
         parse_map(plan.mapping) if plan.mapping else None,
@@ -190,7 +186,7 @@ def run_import(plan: ImportPlan, control: Control, trail: AuditTrail) -> Importe
         rate_hz=plan.rate_hz,
         resample_hz=plan.resample_hz,
         decimal=None if plan.decimal is None else _DECIMALS[plan.decimal],
-        progress=progress,
+        progress=control.follow,
     )
     tests = made.session.tests
     new = {"tests": len(tests), "samples": sum(test.samples for test in tests)}
@@ -229,21 +225,13 @@ def run_export(plan: ExportPlan, control: Control, trail: AuditTrail) -> Export:
     from tissueid.sessions.imports import export_session
 
     if plan.tests:
-        session = read_session_head(plan.session)
-        tests = []
-        for number in plan.tests:
-            control.check()
-            tests.append(read_test(plan.session, number))
-        session = replace(session, tests=tuple(tests))
+        tests = tuple(read_test(plan.session, number) for number in plan.tests if not control.check())
+        session = replace(read_session_head(plan.session), tests=tests)
     else:
         session = read_session(plan.session)
 
-    def progress(share: float) -> None:
-        control.check()
-        control.progress(share, _EXPORTING)
-
     control.check()
-    files = export_session(session, plan.out, plan.kind, progress)
+    files = export_session(session, plan.out, plan.kind, lambda share: control.follow(_EXPORTING, share))
     new = {"tests": len(session.tests), "format": plan.kind}
     audit_note(trail, control, "session.exported", subject=session.session_id, new=new)
     return Export(session, tuple(files))

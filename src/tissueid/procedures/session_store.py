@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.errors import SessionFormatError, UnusableInputError
@@ -32,42 +32,6 @@ _BLOCK_BYTES = 2 << 20
 """Bytes that are copied at once: the first block has the signature of a session."""
 _REFUSED = {"reference", "dask", "async_wrapper", "asyncwrapper", "generic"}
 """Kinds of addresses whose files name other places, code or pickles."""
-
-
-class SessionStore(Protocol):
-    """Interface of a place with sessions and results. ``name`` is the path of a session below it."""
-
-    def sessions(self) -> dict[str, str]:
-        """Return the key of each session by its name, in the order of the names.
-
-        Raises:
-            UnusableInputError: the place cannot be read.
-        """
-        ...
-
-    def local_file(self, name: str) -> contextlib.AbstractContextManager[Path]:
-        """Return a context with a file of this machine that has the content of a session."""
-        ...
-
-    def results(self, analysis: str) -> list[str]:
-        """Return the keys of the results of an analysis."""
-        ...
-
-    def read_result(self, analysis: str, key: str) -> bytes | None:
-        """Return a result, or None if there is none or it is too large."""
-        ...
-
-    def write_result(self, analysis: str, key: str, content: bytes) -> None:
-        """Write a result atomically.
-
-        Raises:
-            OSError: it cannot be written.
-        """
-        ...
-
-    def remove_result(self, analysis: str, key: str) -> None:
-        """Remove a result, if it is there."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -212,6 +176,10 @@ class RemoteStore:
             raise UnusableInputError(
                 "study.no_address", "{url} cannot be read: {reason}", url=Verbatim(self.url), reason=why
             ) from error
+
+
+SessionStore = FolderStore | RemoteStore
+"""A place with sessions and results. ``name`` is the path of a session below it."""
 
 
 def _copy(files: Any, place: str, target: Path) -> None:

@@ -121,7 +121,9 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
 
     options = parse_options(plan.options)
     specification = get_engine(plan.engine).from_options(options)
-    store = _store(plan)
+    if plan.sessions is not None:
+        check_packages("fsspec")
+    store: SessionStore = FolderStore(plan.folder) if plan.sessions is None else RemoteStore(plan.sessions)
     keys = store.sessions()
     if not keys:
         where = plan.sessions or str(plan.folder)
@@ -136,7 +138,8 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
         known, again = _analyse(plan, common.options(), store, keys, control)
         new = max(new, again)
     failures = {name: reason for name in keys if (reason := known[name].get(_FAILED)) is not None}
-    _write_failures(results / NOT_ANALYSED_FILE, failures, keys)
+    lines = ((name, " ".join(reason.split()), keys[name]) for name, reason in failures.items())
+    write_text(results / NOT_ANALYSED_FILE, csv_text([("session", "reason", "key"), *lines]))
     rows = [row | {"session": name} for name in keys for row in known[name].get("rows", ())]
     if not rows:
         name, reason = next(iter(failures.items()))
@@ -166,7 +169,8 @@ def _analyse(
     plan: StudyPlan, options: Mapping[str, Any], store: SessionStore, keys: Mapping[str, str], control: Control
 ) -> tuple[dict[str, dict[str, Any]], int]:
     """Return the results of all sessions by name, and how many of them were not stored before."""
-    analysis = _analysis(plan, options)
+    about = json.dumps([dict(options), plan.held_out, __version__, _FORMAT], sort_keys=True)
+    analysis = f"{plan.engine}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
     stored = set(store.results(analysis))
     for stale in stored - set(keys.values()):
         store.remove_result(analysis, stale)
@@ -204,23 +208,6 @@ def read_failures(path: Path, keys: Mapping[str, str]) -> dict[str, str]:
         for line in lines
         if (name := text_of_cell(line.get("session") or "")) in keys and keys[name] == line.get("key")
     }
-
-
-def _write_failures(path: Path, failures: Mapping[str, str], keys: Mapping[str, str]) -> None:
-    lines = ((name, " ".join(reason.split()), keys[name]) for name, reason in failures.items())
-    write_text(path, csv_text([("session", "reason", "key"), *lines]))
-
-
-def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
-    about = json.dumps([dict(options), plan.held_out, __version__, _FORMAT], sort_keys=True)
-    return f"{plan.engine}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
-
-
-def _store(plan: StudyPlan) -> SessionStore:
-    if plan.sessions is None:
-        return FolderStore(plan.folder)
-    check_packages("fsspec")
-    return RemoteStore(plan.sessions)
 
 
 def _decoded(content: bytes | None) -> dict[str, Any] | None:

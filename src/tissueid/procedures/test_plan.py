@@ -264,7 +264,12 @@ class TestPlan(FilePlayback, TestSettings):
         if self.rest_s > 0.0 and self.repeats == 1:
             raise UnusableInputError("plan.rest", "the rest is the pause between repeats: it needs --repeats")
         self._check_kind()
-        self._check_file()
+        for option in () if self.stimulus_file else self.file_options:
+            raise UnusableInputError(
+                "plan.file_options",
+                "{option} needs --stimulus-file: other stimuli have a range of force",
+                option=Verbatim(option),
+            )
         self.stop_rule()
         if self.multistep is not None:
             self._check_multistep()
@@ -294,14 +299,6 @@ class TestPlan(FilePlayback, TestSettings):
                 width=1e3 * LEAST_DEPTH_RANGE_M,
                 least=1e3 * least_m,
                 most=1e3 * most_m,
-            )
-
-    def _check_file(self) -> None:
-        for option in () if self.stimulus_file else self.file_options:
-            raise UnusableInputError(
-                "plan.file_options",
-                "{option} needs --stimulus-file: other stimuli have a range of force",
-                option=Verbatim(option),
             )
 
     def _check_kind(self) -> None:

@@ -384,8 +384,8 @@ class _Run:
                 surface_m=placement,
                 progress=self._received,
                 cancelled=control.check,
-                enough=self._enough,
-                why=self._reason,
+                enough=lambda one=identification: one is not None and one.enough(),  # type: ignore[misc]
+                why=lambda one=identification: "" if one is None else one.reason,  # type: ignore[misc]
             )
             if identification is not None:
                 run_while_polling(instrument, self.end_identification)  # the last estimate may take a while
@@ -406,14 +406,6 @@ class _Run:
             self._identification.step()
         self._control.received(progress)
         self._control.progress(progress.fraction, self._step)
-
-    def _enough(self) -> bool:
-        """Return whether the stop rule is met."""
-        return self._identification is not None and self._identification.enough()
-
-    def _reason(self) -> str:
-        """Return why the stop rule is met."""
-        return "" if self._identification is None else self._identification.reason
 
     def end_identification(self) -> None:
         """Make the last estimate, and end the process of the estimates, if there is one."""

@@ -17,6 +17,7 @@ from scipy import stats
 from tissueid.analysis.curves.plot import Array
 from tissueid.analysis.curves.samples import DAMPING, GRIDS, KERNEL1, KERNEL2, MASS, PARTITIONS, STIFFNESS, SampledCurve
 from tissueid.atomic_write import atomic_file
+from tissueid.stored_values import finite
 from tissueid.studies.repeatability import CONFIDENCE
 from tissueid.studies.study_table import MATERIAL, NO_CONDITION
 from tissueid.test_settings import COMPARED_CIRCUMSTANCES, setting_of
@@ -134,8 +135,8 @@ class GroupCurve:
             "curve": self.curve,
             "direction": self.direction,
             "count": self.count,
-            "vaf_percent": float(self.vaf_percent) if np.isfinite(self.vaf_percent) else None,
-        } | {name: [float(v) if np.isfinite(v) else None for v in values[known]] for name, values in columns.items()}
+            "vaf_percent": finite(self.vaf_percent),
+        } | {name: finite(values[known].tolist()) for name, values in columns.items()}
 
 
 def group_labels(tests: pd.DataFrame, by: By) -> pd.Series:

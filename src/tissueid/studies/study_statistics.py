@@ -108,20 +108,6 @@ def no_groups(rows: pd.DataFrame, factors: Iterable[str], sites: Sequence[str]) 
     ]
 
 
-def no_adjusted_groups(rows: pd.DataFrame, sites: Sequence[str], least: int) -> list[Message]:
-    """Return a remark about groups that are not adjusted for each other; ``least`` is the number of subjects needed."""
-    if missing := _missing(sites, rows):
-        return [
-            Message(
-                "study.few_for_linear",
-                "the groups are not adjusted for each other at {sites}: that needs {least} subjects",
-                sites=missing,
-                least=least,
-            )
-        ]
-    return []
-
-
 def no_regressions(rows: pd.DataFrame, regressors: Iterable[str], sites: Sequence[str]) -> list[Message]:
     """Return remarks about regressions that are not computed at some sites; ``rows`` are of ``regressions``."""
     return [
@@ -135,22 +121,6 @@ def no_regressions(rows: pd.DataFrame, regressors: Iterable[str], sites: Sequenc
         )
         for name in regressors
         if (missing := _missing(sites, _of(rows, "factor", name)))
-    ]
-
-
-def no_least_squares(rows: pd.DataFrame, responses: Iterable[str], sites: Sequence[str]) -> list[Message]:
-    """Return a remark about partial least squares; ``rows`` are of ``partial_least_squares``."""
-    lacking = [name for name in responses if _missing(sites, _of(rows, "response", name))]
-    if not lacking:
-        return []
-    return [
-        Message(
-            "study.few_for_least_squares",
-            "no partial least squares at some or all sites, which need {least} subjects with a value: {labels}",
-            least=LEAST_SUBJECTS,
-            names=Listing(tuple(map(Verbatim, lacking))),
-            labels=labels_of(lacking),
-        )
     ]
 
 
@@ -181,19 +151,6 @@ def no_pairs(rows: pd.DataFrame, means: pd.DataFrame, before: str, others: Itera
                 )
             )
     return remarks
-
-
-def no_materials(rows: pd.DataFrame) -> list[Message]:
-    """Return a remark where materials are not compared; ``rows`` are of ``materials``."""
-    if not rows.empty:
-        return []
-    return [
-        Message(
-            "study.few_materials",
-            "materials are not compared: that needs two materials of {least} tests",
-            least=LEAST_PER_GROUP,
-        )
-    ]
 
 
 def parameters_missing(tables: Tables, parameters: Sequence[str]) -> list[Message]:
@@ -412,7 +369,8 @@ def study_statistics(
     """
     found = usable_tests(table)
     remarks = list(found.remarks)
-    used, samples = _persons_and_samples(found.used)
+    sample = found.used[MATERIAL].notna() if MATERIAL in found.used else pd.Series(False, found.used.index)
+    used, samples = found.used[~sample].copy(), found.used[sample].copy()
     parameters = parameters_used(used if len(used) else samples, remarks)
     keys = ("subject", "site", "condition")
     linear = [name for name in LINEAR if name in used and used[name].notna().any()]
@@ -441,7 +399,14 @@ def study_statistics(
         tables |= _conditions(means, measured, before, after, margin, remarks)
     if len(samples):
         tables["materials"] = materials(samples, list(dict.fromkeys([*linear, *parameters])) or measured)
-        remarks += no_materials(tables["materials"])
+        if tables["materials"].empty:
+            remarks.append(
+                Message(
+                    "study.few_materials",
+                    "materials are not compared: that needs two materials of {least} tests",
+                    least=LEAST_PER_GROUP,
+                )
+            )
     components: tuple[KernelComponents, ...] = ()
     groups: tuple[GroupCurve, ...] = ()
     if curves is not None and len(found.used):
@@ -454,13 +419,6 @@ def study_statistics(
     return StudyStatistics(
         used, means, tuple(parameters), tables, tuple(remarks), found.left_out, samples, thesis, groups, components
     )
-
-
-def _persons_and_samples(used: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    if MATERIAL not in used:
-        return used, used.head(0)
-    sample = used[MATERIAL].notna()
-    return used[~sample].copy(), used[sample].copy()
 
 
 def _between_subjects(
@@ -478,7 +436,15 @@ def _between_subjects(
         remarks += no_groups(tables["groups"], chosen, sites)
         if len(chosen) > 1:
             tables["general_linear"] = general_linear(own, chosen, parameters)
-            remarks += no_adjusted_groups(tables["general_linear"], sites, least_adjusted(own, chosen))
+            if missing := _missing(sites, tables["general_linear"]):
+                remarks.append(
+                    Message(
+                        "study.few_for_linear",
+                        "the groups are not adjusted for each other at {sites}: that needs {least} subjects",
+                        sites=missing,
+                        least=least_adjusted(own, chosen),
+                    )
+                )
         if not tables["groups"].empty:
             tables["sample_sizes"] = sample_sizes(tables["groups"])
     values = [name for name in regressors or REGRESSORS if has_values(own, name, remarks, stated=bool(regressors))]
@@ -487,8 +453,17 @@ def _between_subjects(
         remarks += no_regressions(tables["regressions"], values, sites)
     responses = [*values, *(name for name in chosen if own[name].nunique() == 2 and name != "age_group")]
     if responses:
-        tables["partial_least_squares"] = partial_least_squares(own, responses, parameters)
-        remarks += no_least_squares(tables["partial_least_squares"], responses, sites)
+        tables["partial_least_squares"] = found = partial_least_squares(own, responses, parameters)
+        if lacking := [name for name in responses if _missing(sites, _of(found, "response", name))]:
+            remarks.append(
+                Message(
+                    "study.few_for_least_squares",
+                    "no partial least squares at some or all sites, which need {least} subjects with a value: {labels}",
+                    least=LEAST_SUBJECTS,
+                    names=Listing(tuple(map(Verbatim, lacking))),
+                    labels=labels_of(lacking),
+                )
+            )
     return tables
 
 

@@ -39,6 +39,7 @@ PRINTED_MEANS = (
 """Last rows of Tables 7.1 and 7.2: means of the four sites."""
 PARTICIPANTS = {("gender", "LA"): (8.0, 16.0), ("gender", "RA"): (17.0, 40.0), ("age_group", "RA"): (17.0, 40.0)}
 """Table 7.3c, participants per level: those that the text prints."""
+_RANGES = {key: f"{least:g} – {most:g}" for key, (least, most) in PARTICIPANTS.items()}
 SIGNIFICANT = {
     ("gender", "LA"): "< 0.01",
     ("gender", "RA"): "< 0.01",
@@ -98,9 +99,11 @@ def thesis_tables(
     found = {
         "7.1": _coefficients(tables.get("variation"), "individual_cv", INDIVIDUAL, PRINTED_MEANS[0]),
         "7.2": _coefficients(tables.get("variation"), "population_cv", POPULATION, PRINTED_MEANS[1]),
-        "7.3a": _groups(tables.get("groups")),
+        "7.3a": _least(tables.get("groups"), ("p_value", "p_corrected"), "thesis_p", SIGNIFICANT),
         "7.3b": _regressions(tables.get("regressions")),
-        "7.3c": _participants(tables.get("sample_sizes")),
+        "7.3c": _least(
+            tables.get("sample_sizes"), ("participants_80", "participants_90"), "thesis_participants", _RANGES
+        ),
         "7.4": _least_squares(tables.get("partial_least_squares")),
         "7.5": _subgroup(means),
     }
@@ -135,23 +138,18 @@ def _row(site: str, name: str, value: float, low: float | None, high: float | No
     return {"site": site, "parameter": name, "study": value, "study_low": low, "study_high": high}
 
 
-def _groups(rows: pd.DataFrame | None) -> pd.DataFrame:
+def _least(
+    rows: pd.DataFrame | None, columns: Sequence[str], name: str, thesis: Mapping[tuple[str, str], str]
+) -> pd.DataFrame:
+    """Return the row with the least value of the first column for each factor and site of the thesis."""
     found = []
-    for (factor, short), text in SIGNIFICANT.items():
-        site = next(name for name, letters in SITES.items() if letters == short)
-        own = pd.DataFrame() if rows is None else rows[(rows["site"] == site) & (rows["factor"] == factor)]
+    places = {short: site for site, short in SITES.items()}
+    for (factor, short), text in thesis.items():
+        own = pd.DataFrame() if rows is None else rows[(rows["site"] == places[short]) & (rows["factor"] == factor)]
         if len(own):
-            least = own.loc[own["p_value"].idxmin()]
-            found.append(
-                {
-                    "site": short,
-                    "factor": factor,
-                    "parameter": least["parameter"],
-                    "p_value": least["p_value"],
-                    "p_corrected": least["p_corrected"],
-                    "thesis_p": text,
-                }
-            )
+            least = own.loc[own[columns[0]].idxmin()]
+            values = {column: least[column] for column in ("parameter", *columns)}
+            found.append({"site": short, "factor": factor} | values | {name: text})
     return pd.DataFrame(found)
 
 
@@ -177,26 +175,6 @@ def _regressions(rows: pd.DataFrame | None) -> pd.DataFrame:
                             "thesis_p": text,
                         }
                     )
-    return pd.DataFrame(found)
-
-
-def _participants(rows: pd.DataFrame | None) -> pd.DataFrame:
-    found = []
-    for (factor, short), (least, most) in PARTICIPANTS.items():
-        site = next(name for name, letters in SITES.items() if letters == short)
-        own = pd.DataFrame() if rows is None else rows[(rows["site"] == site) & (rows["factor"] == factor)]
-        if len(own):
-            best = own.loc[own["participants_80"].idxmin()]
-            found.append(
-                {
-                    "site": short,
-                    "factor": factor,
-                    "parameter": best["parameter"],
-                    "participants_80": best["participants_80"],
-                    "participants_90": best["participants_90"],
-                    "thesis_participants": f"{least:g} – {most:g}",
-                }
-            )
     return pd.DataFrame(found)
 
 
