@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import types
@@ -125,14 +126,16 @@ def check_protocol() -> None:
     notes = protocol.plan(step, "x", Path("x.h5")).as_notes()
     assert (notes["hydration"], notes["posture"]) == (0.3, "sitting")
     assert condition_of(notes) == protocol.conditions[0]
+    assert protocol.conditions[0].text == "lotion, Posture: Sitting"
 
 
 def check_table_and_report(path: Path) -> None:
     """Check the table of a study and the report of a session."""
     from tissueid.cli import main
-    from tissueid.studies.study_table import DESCRIPTION
+    from tissueid.studies.study_table import DESCRIPTION, KEYS, study_table
 
-    assert {"hydration", "posture"} <= set(DESCRIPTION)
+    assert {"hydration", "posture"} <= {*KEYS, *DESCRIPTION}
+    assert "posture" in KEYS  # a circumstance of the condition
     study, page = path.parent / "study", path.parent / "page.html"
     study.mkdir()
     (study / "s.h5").write_bytes(path.read_bytes())
@@ -141,8 +144,15 @@ def check_table_and_report(path: Path) -> None:
     values = dict(zip(head.split(","), row.split(","), strict=False))
     assert (float(values["hydration"]), values["posture"]) == (0.4, "lying")
     assert main(["report", str(path), "--out", str(page), "--engines", "lms"]) == 0
-    assert "Hydration" in page.read_text()
-    assert "Lying" in page.read_text()  # the declared label
+    words = " ".join(re.sub("<[^>]*>", " ", page.read_text()).split())
+    assert "Hydration 0.4 " in words
+    assert "Posture Lying " in words  # the declared label of the value
+    keys = ("created", "session", "subject", "site", "condition", "configuration", "engine")
+    row = dict.fromkeys(keys, "") | {"test": 1, "status": "completed", "quality": "good"}
+    odd = study_table([row | {"hydration": "much", "posture": 5.0}, row | {"hydration": "0.2"}])
+    assert odd["hydration"].isna().tolist() == [True, False]
+    assert odd["hydration"].iloc[1] == 0.2
+    assert odd["posture"].iloc[0] == "5.0"
 
 
 def check_form() -> None:
@@ -151,12 +161,24 @@ def check_form() -> None:
 
     application = QApplication([])
     from tissueid.app.stimulus_form import ConfigurationChooser
+    from tissueid.app.views.studies.protocol_dialog import ProtocolDialog
+    from tissueid.procedures.study_protocol import parse_protocol
+    from tissueid.procedures.test_plan import TestPlan
 
     form = ConfigurationChooser()
     assert (form.values()["hydration"], form.values()["posture"]) == (None, None)
     form.choose(hydration=0.5, posture="lying")
-    assert (form.values()["hydration"], form.values()["posture"]) == (0.5, "lying")
-    assert form.settings["hydration"].label == "Hydration"
+    notes = TestPlan(url="x", site="arm", out=Path("x"), **form.values()).as_notes()
+    assert (notes["hydration"], notes["posture"]) == (0.5, "lying")
+    for name, label in (("hydration", "Hydration"), ("posture", "Posture")):
+        assert form.settings[name].label == label
+        assert form.settings[name].isVisibleTo(form)
+    form.settings["hydration"].set_value(2.0)
+    assert form.values()["hydration"] == 1.0
+    condition = {"product": "lotion", "posture": "sitting"}
+    given = parse_protocol({"name": "A", "sites": ["arm"], "hydration": 0.3, "conditions": [condition]}, "p")
+    dialog = ProtocolDialog(given)
+    assert dialog.protocol() == given
     del application
 
 

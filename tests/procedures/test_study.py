@@ -320,7 +320,7 @@ def test_a_subgroup_of_the_subjects_is_reported(folder, run, tmp_path):
     assert found.statistics.as_answer()["subjects"] == 1
     assert "age_years=20:22" in found.page.read_text(encoding="utf-8")
     assert found.as_answer()["subgroup"] == ("gender=female", "age_years=20:22")
-    at_leg = report_study(plan.model_copy(update={"engine": "depth", "only": ("gender=male", "site=leg")}), Control())
+    at_leg = report_study(plan.model_copy(update={"only": ("gender=male", "site=leg")}), Control())
     assert set(at_leg.run.table["site"]) == {"leg"}
     tables = [rows for rows in at_leg.statistics.tables.values() if "site" in rows and len(rows)]
     assert tables
