@@ -16,7 +16,7 @@ from tissueid.configuration import (
 from tissueid.device import DESKTOP, HANDHELD, angle_deg
 from tissueid.errors import UnusableInputError
 from tissueid.messages import joined
-from tissueid.option_errors import validation_reason
+from tissueid.plan_options import validation_reason
 from tissueid.test_settings import TestSettings, orientation, placement
 
 

@@ -161,7 +161,7 @@ def check_form() -> None:
 
     application = QApplication([])
     from tissueid.app.stimulus_form import ConfigurationChooser
-    from tissueid.app.views.studies.protocol_dialog import ProtocolDialog
+    from tissueid.app.views.studies.request_row import ProtocolDialog
     from tissueid.procedures.study_protocol import parse_protocol
     from tissueid.procedures.test_plan import TestPlan
 

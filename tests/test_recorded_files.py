@@ -13,8 +13,7 @@ import pytest
 from tissueid.acquisition.recovery import recover
 from tissueid.acquisition.stimulus_choice import load_stimulus
 from tissueid.procedures.study_protocol import parse_protocol, protocol_text, read_protocol
-from tissueid.procedures.test_plan import TestPlan
-from tissueid.procedures.test_presets import PRESETS
+from tissueid.procedures.test_plan import PRESETS, TestPlan
 from tissueid.sessions import Session, read_session, write_session
 from tissueid.sessions.imports import Choices, Source, assembled, import_test
 

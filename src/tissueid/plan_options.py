@@ -22,7 +22,7 @@ from pydantic.fields import FieldInfo
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Verbatim
-from tissueid.option_errors import option_error, validation_reason
+from tissueid.plan_options import option_error, validation_reason
 
 
 @dataclass(frozen=True)

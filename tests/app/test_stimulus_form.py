@@ -11,7 +11,7 @@ from coded import begins
 from tissueid.app.stimulus_form import FROM_FILE, MULTISTEP, StimulusForm
 from tissueid.cli import main
 from tissueid.instrument import SimulatedInstrument
-from tissueid.procedures.demo import LARGE_CLIPPED, LARGE_N
+from tissueid.procedures.test_plan import LARGE_CLIPPED, LARGE_N
 from tissueid.sessions import read_session
 from tissueid.stimuli import get_stimulus, stimulus_names
 

@@ -18,7 +18,7 @@ from tissueid.studies.group_comparison import (
     site_means,
     subject_means,
 )
-from tissueid.studies.multivariate import component_steps, partial_least_squares, principal_components
+from tissueid.studies.multivariate import component_steps, partial_least_squares
 from tissueid.studies.repeatability import (
     ALL_SITES,
     detectable_effect,
@@ -227,15 +227,6 @@ def test_components_of_partial_least_squares_are_those_of_scikit_learn():
     dependent = component_steps(x[:, :1] * [1.0, 2.0], y, new[:, :1] * [1.0, 2.0], 3)
     assert np.abs(dependent[:, 0]).min() > 0.0
     assert not dependent[:, 1:].any()
-
-
-def test_principal_components_of_kernels():
-    random = np.random.default_rng(0)
-    shape = np.sin(np.linspace(0.0, 3.0, 50))
-    scores = random.normal(size=20)
-    found = principal_components(np.outer(scores, shape) + 1.0, 2)
-    assert found.shares[0] == pytest.approx(1.0)
-    assert abs(np.corrcoef(found.scores[:, 0], scores)[0, 1]) == pytest.approx(1.0)
 
 
 def test_pooled_mean_weights_by_uncertainty():

@@ -36,7 +36,7 @@ from tissueid.formatting import ANONYMOUS, label_and_unit, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, Verbatim, translated
 from tissueid.procedures.saved_test import write_page, write_pdf
-from tissueid.procedures.sitting import accept_sitting, reopen_sitting
+from tissueid.procedures.study_sitting import accept_sitting, reopen_sitting
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.records import Estimate
 from tissueid.sessions import Test

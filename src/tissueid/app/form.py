@@ -37,8 +37,7 @@ from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
-from tissueid.procedures.test_plan import SPECIFIED, TestPlan, reads_like_name
-from tissueid.procedures.test_presets import PRESETS
+from tissueid.procedures.test_plan import PRESETS, SPECIFIED, TestPlan, reads_like_name
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.test_settings import SECONDS, USUAL_FORCE_N
 

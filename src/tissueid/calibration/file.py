@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, message_from
-from tissueid.option_errors import validation_reason
+from tissueid.plan_options import validation_reason
 from tissueid.untrusted_input import toml_table
 
 FORMAT: Literal["tissueid-calibration"] = "tissueid-calibration"

@@ -34,7 +34,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.messages import Quantity as ShownQuantity
-from tissueid.option_errors import validation_reason
+from tissueid.plan_options import validation_reason
 from tissueid.records import Estimate
 from tissueid.version import SOFTWARE
 

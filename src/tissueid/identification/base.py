@@ -24,7 +24,7 @@ from tissueid.identification.blas_threads import one_blas_thread
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.language import marked
 from tissueid.messages import Message, stored
-from tissueid.option_errors import option_error
+from tissueid.plan_options import option_error
 from tissueid.records import Estimate, Record
 from tissueid.stored_values import MaybeNumber, Name, Number, Texts, finite
 

@@ -18,7 +18,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.instrument.twin_list import FORMAT, MOST_BYTES, SUFFIX, twin_model
 from tissueid.messages import Message, Verbatim, joined
-from tissueid.option_errors import validation_reason
+from tissueid.plan_options import validation_reason
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.chain_parameters import InstrumentParameters, Tissue

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated
 from tissueid.acquisition import SessionRecorder
 from tissueid.audit import AuditTrail
 from tissueid.calibration.active import static_conditions, use_static_calibration
-from tissueid.calibration.file import Calibration, check_writable, save_calibration
+from tissueid.calibration.file import Calibration, check_writable, read_calibration, save_calibration
 from tissueid.calibration.labels import notes_of
 from tissueid.calibration.static_procedure import calibrate_static
-from tissueid.calibration.store import create_calibration_folder, free_name
+from tissueid.calibration.status import file_status
+from tissueid.calibration.store import calibration_folder, create_calibration_folder, free_name, stored_calibrations
 from tissueid.calibration.sweep import ProbePosition, Sweep, sweep_tests, wait_for_position
 from tissueid.calibration.sweep_analysis import analyse_sweep, as_calibration
 from tissueid.device import DeviceDescription
@@ -172,9 +173,6 @@ def listed_calibrations(plan: CalibrationListPlan) -> tuple[Path | None, tuple[L
     Raises:
         UnusableInputError: the folder of the plan does not exist, or cannot be read.
     """
-    from tissueid.calibration.status import file_status
-    from tissueid.calibration.store import calibration_folder, stored_calibrations
-
     folder, now = calibration_folder(plan.folder), datetime.now(UTC)
     listed = []
     newest: set[tuple[str, str]] = set()
@@ -196,8 +194,6 @@ def saved_calibration(plan: ShowCalibrationPlan) -> Calibration:
     Raises:
         UnusableInputError: the file is not a calibration, or the report cannot be written.
     """
-    from tissueid.calibration.file import read_calibration
-
     check_output(plan.report, HTML)
     check_new(plan.report)
     calibration = read_calibration(plan.file)

@@ -24,7 +24,7 @@ from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_queries import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import check_result_folder, check_session_path, json_text, write_text
-from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_plan import LARGE_CLIPPED, LARGE_N, TestPlan
 from tissueid.test_settings import TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
@@ -36,10 +36,6 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.sessions import Session
 
 
-LARGE_N = (-5.0, 11.8)
-"""Force range of the main test, N. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
-LARGE_CLIPPED = 0.0455
-"""Share of samples clipped to that range: the share of a Gaussian beyond two standard deviations."""
 SMALL_N = 0.75
 """Half the force range of the small-amplitude test, N, about the mean load of the main test (thesis 3.4)."""
 OUTPUTS = ("session.h5", "results.json", "report.html")

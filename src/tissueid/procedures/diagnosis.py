@@ -1,4 +1,8 @@
-"""Diagnosis of the gap: of a session, of all sessions of a folder, and twins with the effects that it names."""
+"""Diagnosis of the gap: of a session, of all sessions of a folder, and twins with the effects that it names.
+
+Each process of a folder stores its answers at once, in the user's cache. They are removed when the procedure ends or is
+cancelled; after a kill the same procedure on the same files takes them from there.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +28,7 @@ from tissueid.gap.statement import GapHistory, GapHistoryEntry
 from tissueid.gap.twin_export import NamedEffects, accept_named, against_twin, named_effects
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, check_twin_name, check_twin_writable, read_twin, write_twin
+from tissueid.instrument.twin_list import SUFFIX
 from tissueid.language import marked
 from tissueid.messages import Verbatim
 from tissueid.plan_options import Option, Plan
@@ -310,8 +315,6 @@ def saved_twins(plan: TwinFolderPlan) -> dict[Path, TwinFile]:
     Raises:
         UnusableInputError: the folder does not exist.
     """
-    from tissueid.instrument.twin_list import SUFFIX
-
     if not plan.folder.is_dir():
         raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(plan.folder))
     found = {}

@@ -9,11 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from pydantic import Field
 
 from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import check_test
+from tissueid.acquisition.stimulus_choice import PRELOAD_S, check_new, save_stimulus, stimulus_from_file
+from tissueid.acquisition.waveform_file import is_waveform
 from tissueid.analysis.curves.feedback import FeedbackRun
+from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.instrument import Limits, open_instrument
@@ -24,16 +28,16 @@ from tissueid.plan_options import Option, Plan, name_and_value, named_values
 from tissueid.procedures.control import Control
 from tissueid.procedures.depth_coverage import out_of_reach
 from tissueid.procedures.output_files import check_different, check_output, write_text, writing
-from tissueid.procedures.test_plan import design_stimulus
-from tissueid.reports.stimulus_page import feedback_run
+from tissueid.procedures.test_plan import design_stimulus, limits_of, saved_stimulus_options, specified
+from tissueid.reports.stimulus_page import FORMS, feedback_report, feedback_run, output_suffix, stimulus_report
 from tissueid.sessions import Test
-from tissueid.stimuli import FeedbackKind
+from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, get_stimulus, to_voltage
+from tissueid.stimuli.stimulus_check import assess_stimulus
 from tissueid.test_settings import FilePlayback, TestSettings
 
 if TYPE_CHECKING:
-    from tissueid.analysis.stimulus_design import StimulusDesign
     from tissueid.device import DeviceDescription
-    from tissueid.stimuli import Stimulus, StimulusKind
+    from tissueid.stimuli import StimulusKind
     from tissueid.stimuli.interchange import InterchangeResult
 
 
@@ -68,17 +72,6 @@ def try_on_tissue(kind: FeedbackKind, url: str | None, limits: Limits, control: 
         LimitError: the stimulus could exceed the limits of the instrument, or did.
     """
     url = url or _TISSUE
-    test = play_on_tissue(kind, url, limits, control)
-    return FeedbackTrial(kind, url, test, feedback_run(test, url.removeprefix(IN_PROCESS)))
-
-
-def play_on_tissue(kind: FeedbackKind, url: str, limits: Limits, control: Control) -> Test:
-    """Run one test on a simulated tissue and return it; nothing is saved.
-
-    Raises:
-        UnusableInputError: a real instrument was named.
-        LimitError: the stimulus could exceed the limits of the instrument, or did.
-    """
     if not url.startswith(IN_PROCESS):
         raise UnusableInputError(
             "stimulus.feedback_on_instrument",
@@ -99,9 +92,10 @@ def play_on_tissue(kind: FeedbackKind, url: str, limits: Limits, control: Contro
             except BaseException:
                 recorder.finish_or_discard()
                 raise
-            return recorder.finish().tests[0]
+            test = recorder.finish().tests[0]
     finally:
         instrument.close()
+    return FeedbackTrial(kind, url, test, feedback_run(test, url.removeprefix(IN_PROCESS)))
 
 
 def _rows(trial: FeedbackTrial) -> Iterator[tuple[str, str]]:
@@ -208,8 +202,6 @@ class StimulusPlan(FilePlayback, Plan):
         Raises:
             UnusableInputError: there is no profile of that name.
         """
-        from tissueid.procedures.test_plan import limits_of
-
         return limits_of(self.limits)
 
     def check(self) -> None:
@@ -218,8 +210,6 @@ class StimulusPlan(FilePlayback, Plan):
         Raises:
             UnusableInputError: the limits are unknown, an option has no stimulus, or a file cannot be written.
         """
-        from tissueid.acquisition.stimulus_choice import check_new
-
         _ = self.profile
         if "-" in (str(self.csv), str(self.plot)):
             raise UnusableInputError(
@@ -230,9 +220,6 @@ class StimulusPlan(FilePlayback, Plan):
         if self.out is not None:
             check_new(self.out)
         if self.plot is not None:
-            # imported here because it imports Matplotlib
-            from tissueid.reports.stimulus_page import FORMS, output_suffix
-
             check_output(self.plot, FORMS[output_suffix(self.plot)])
         for option in () if self.from_file else self.file_options:
             raise UnusableInputError(
@@ -246,8 +233,6 @@ class StimulusPlan(FilePlayback, Plan):
     @property
     def from_file(self) -> bool:
         """Whether the stimulus is in a file."""
-        from tissueid.acquisition.waveform_file import is_waveform
-
         what = self.what or ""
         named = what.lower().endswith(".json") or "/" in what or is_waveform(Path(what)) or Path(what).is_file()
         return bool(what) and named
@@ -258,10 +243,6 @@ class StimulusPlan(FilePlayback, Plan):
         Raises:
             UnusableInputError: the kind, the file or an option cannot be used.
         """
-        from tissueid.acquisition.stimulus_choice import stimulus_from_file
-        from tissueid.procedures.test_plan import saved_stimulus_options, specified
-        from tissueid.stimuli import get_stimulus
-
         what = self.what or ""
         if self.from_file:
             if self.options or self.given:
@@ -289,7 +270,6 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
         CancelledError: it was cancelled.
     """
     from tissueid.procedures.instruments import described_device
-    from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus
 
     plan.check()
     # Only a file needs the device first, for its sample rate; a feedback kind opens the instrument itself.
@@ -309,8 +289,6 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
         )
     design = _checked(plan, stimulus, device, search)
     if plan.plot is not None:
-        from tissueid.reports.stimulus_page import stimulus_report
-
         with writing(plan.plot):
             stimulus_report(design).write(plan.plot)
     if plan.csv is not None:
@@ -322,10 +300,6 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
 def _checked(
     plan: StimulusPlan, stimulus: Stimulus, device: DeviceDescription, search: InterchangeResult | None
 ) -> StimulusDesign:
-    from tissueid.acquisition.stimulus_choice import PRELOAD_S
-    from tissueid.analysis.stimulus_design import StimulusDesign
-    from tissueid.stimuli.stimulus_check import assess_stimulus
-
     limits = plan.profile
     found = assess_stimulus(
         stimulus,
@@ -342,8 +316,6 @@ def _checked(
 
 
 def _tried(plan: StimulusPlan, kind: FeedbackKind, control: Control) -> FeedbackTrial:
-    from tissueid.reports.stimulus_page import feedback_report
-
     if plan.csv is not None:
         raise UnusableInputError(
             "stimulus.no_samples",
@@ -359,18 +331,12 @@ def _tried(plan: StimulusPlan, kind: FeedbackKind, control: Control) -> Feedback
 
 
 def _save(plan: StimulusPlan, stimulus: Stimulus | FeedbackKind) -> None:
-    from tissueid.acquisition.stimulus_choice import save_stimulus
-
     if plan.out is not None:
         save_stimulus(plan.out, stimulus)
 
 
 def _csv(design: StimulusDesign) -> str:
     """Return time, value and command of every sample as CSV, with numbers at full precision."""
-    import numpy as np
-
-    from tissueid.stimuli import to_voltage
-
     stimulus = design.stimulus
     command = to_voltage(stimulus.values, design.device, stimulus.unit)
     quantity = "force_n" if stimulus.unit == "N" else "voltage_v"

@@ -30,10 +30,9 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim, joined
-from tissueid.option_errors import option_error
+from tissueid.plan_options import option_error
 from tissueid.procedures.study_plans import RESULTS
-from tissueid.procedures.test_plan import MAX_TEXT, TestPlan, reads_like_name
-from tissueid.procedures.test_presets import PRESETS, Preset
+from tissueid.procedures.test_plan import MAX_TEXT, PRESETS, Preset, TestPlan, reads_like_name
 from tissueid.test_settings import SECONDS, Circumstances, SetUp, circumstance_text
 from tissueid.untrusted_input import json_value
 

@@ -36,6 +36,7 @@ from tissueid.procedures.study_plans import (
 )
 from tissueid.procedures.study_protocol import read_protocol
 from tissueid.procedures.test_plan import MAX_TEXT
+from tissueid.sessions import Session, Test, read_session
 from tissueid.stored_values import finite
 from tissueid.test_settings import PROPERTIES
 from tissueid.version import __version__
@@ -44,7 +45,6 @@ if TYPE_CHECKING:  # each takes long to import
     import pandas as pd
 
     from tissueid.analysis.curves.samples import SampledCurve
-    from tissueid.sessions import Session, Test
     from tissueid.studies.study_statistics import StudyStatistics
 
 
@@ -233,7 +233,6 @@ def _analysed(
 ) -> dict[str, Any]:
     # Called in the worker, which stores the result at once.
     from tissueid.analysis.curves.samples import from_json
-    from tissueid.sessions import read_session
 
     name, key = item
     place = ""

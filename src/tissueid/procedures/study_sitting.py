@@ -1,6 +1,7 @@
-"""The sitting of a subject in a study: what is recorded of it, and the whole sitting on an instrument.
+"""The sitting of a subject in a study, on an instrument; acceptance of the result of a sitting, and its withdrawal.
 
-The tests of a subject are the sessions in the folder of the study that is named by the subject, such as ``P01``.
+The tests of a subject are the sessions in the folder of the study that is named by the subject, such as ``P01``. An
+acceptance is written to the audit log first, then to the result files.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from pydantic import Field
+
 from tissueid.atomic_write import private_folder, unused_path
 from tissueid.audit import AuditTrail
 from tissueid.errors import TissueIDError, UnusableInputError
@@ -18,6 +21,7 @@ from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.messages import Message, Verbatim, joined
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, RemainingTime, counted
+from tissueid.procedures.output_files import write_text, writing
 from tissueid.procedures.study_protocol import (
     PROTOCOL_FILE,
     Condition,
@@ -36,9 +40,11 @@ from tissueid.procedures.study_subjects import add_photograph, missing_demograph
 from tissueid.procedures.test_plan import MAX_TEXT
 from tissueid.test_settings import Circumstances, noted
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Instrument
     from tissueid.sessions import Outline, Test
+    from tissueid.sessions.accepted_result import AcceptedResult
+
 
 SUFFIX = ".h5"
 
@@ -158,8 +164,6 @@ def save_protocol(folder: Path, protocol: Protocol) -> None:
     Raises:
         UnusableInputError: the protocol is not valid, or the folder cannot be used.
     """
-    from tissueid.procedures.output_files import write_text, writing
-
     path = folder / PROTOCOL_FILE
     check_tests(protocol, str(path))
     with writing(folder):
@@ -288,3 +292,54 @@ def _pair(text: str, option: str) -> tuple[str, str]:
             text=Verbatim(clean(text)),
         )
     return name.strip(), value
+
+
+class SittingPlan(Plan):
+    """A sitting: its key, the folders that hold one of its tests, and the number of its tests."""
+
+    key: str
+    folders: tuple[Path, ...]
+    tests: Annotated[int, Field(ge=0)]
+
+
+def accept_sitting(plan: SittingPlan, result: AcceptedResult, trail: AuditTrail) -> AcceptedResult:
+    """Log and store the accepted result of a sitting in each of its folders; return it.
+
+    Raises:
+        AuditError: it cannot be logged; no file is written.
+        OSError: it cannot be written; the log says that the sitting goes on.
+    """
+    from tissueid.sessions.accepted_result import write_result
+
+    trail.record("sitting.accepted", subject=plan.key, new=_logged(plan, result))
+    try:
+        for folder in plan.folders:
+            write_result(folder, result)
+    except OSError as error:
+        reopen_sitting(plan, result, trail, why=f"the result file cannot be written: {error.strerror or error}")
+        raise
+    return result
+
+
+def reopen_sitting(plan: SittingPlan, result: AcceptedResult, trail: AuditTrail, why: str = "by hand") -> None:
+    """Log that an accepted sitting goes on, and remove its result files.
+
+    Raises:
+        AuditError: it cannot be logged; the files stay.
+        OSError: a file cannot be removed.
+    """
+    from tissueid.sessions.accepted_result import withdraw_result
+
+    trail.record("sitting.reopened", subject=plan.key, old=_logged(plan, result), new={"why": why})
+    for folder in plan.folders:
+        withdraw_result(folder, plan.key)
+
+
+def _logged(plan: SittingPlan, result: AcceptedResult) -> dict[str, object]:
+    """Return what the log keeps of a result: how many tests count of how many, which, and the values, SI."""
+    return {
+        "repeats": result.count,
+        "tests": plan.tests,
+        "accepted": [test.model_dump() for test in result.tests],
+        "values": {name: value.model_dump(exclude_none=True) for name, value in result.values.items()},
+    }

@@ -1,4 +1,4 @@
-"""The plan of a test: its options, the rule for its subject, and their checks before an instrument is opened."""
+"""The plan of a test: its options, the rule for its subject, the tests that are offered by name, and their checks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS, clean
-from tissueid.language import marked
+from tissueid.language import _, marked
 from tissueid.messages import Action, Message, Verbatim
 from tissueid.plan_options import Option, name_and_value, named_values
 from tissueid.procedures.control import Control
-from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS, FilePlayback, Setting, TestSettings
+from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS, FilePlayback, Setting, StimulusSettings, TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.identification.live.stopping import StopRule
@@ -24,6 +25,71 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.stimuli import OpenLoopKind, Stimulus, StimulusKind
     from tissueid.stimuli.depth_uniform import DepthDesign
     from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
+
+
+LARGE_N = (-5.0, 11.8)
+"""Force range of the large test, N. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
+LARGE_CLIPPED = 0.0455
+"""Share of samples clipped to that range: the share of a Gaussian beyond two standard deviations."""
+
+
+class Preset(StimulusSettings):
+    """A test that is chosen in one step, as fields of a ``TestPlan``.
+
+    With ``lower_force`` the highest force is lowered to that of the instrument. Else the test is offered only where the
+    limits and the instrument allow its forces.
+    """
+
+    name: str
+    title: str
+    stimulus: str
+    min_force_n: float
+    max_force_n: float
+    seconds: float = USUAL_SECONDS
+    options: tuple[tuple[str, Any], ...] = ()
+    lower_force: bool = True
+
+    def plan_values(self, seconds: float | None = None) -> dict[str, Any]:
+        """Return the fields of a ``TestPlan`` for this test, with another length, s, if one is given."""
+        values = self.model_dump(exclude={"name", "title"}, exclude_none=True)
+        return values if seconds is None else values | {"seconds": seconds}
+
+    def why_not(self, most_n: float) -> Message | None:
+        """Return why the test is not offered where limits and instrument allow ``most_n``, N; None where it is."""
+        needed_n = 0.0 if self.lower_force else max(abs(self.min_force_n), abs(self.max_force_n))
+        if needed_n <= most_n:
+            return None
+        return Message(
+            "form.preset_force",
+            "{title} is not offered: it needs {needed:g} N, and limits and instrument allow {most:g} N.",
+            title=_(self.title),
+            needed=needed_n,
+            most=most_n,
+        )
+
+
+PRESETS = (
+    Preset(
+        name="standard",
+        title=marked("Standard skin test"),
+        stimulus=Noise.name,
+        min_force_n=USUAL_FORCE_N[0],
+        max_force_n=USUAL_FORCE_N[1],
+    ),
+    Preset(
+        name="thesis",
+        title=marked("Thesis test, −5 to 12 N"),
+        stimulus=Noise.name,
+        min_force_n=LARGE_N[0],
+        max_force_n=LARGE_N[1],
+        options=(("clipped", LARGE_CLIPPED),),
+        lower_force=False,
+    ),
+    Preset(
+        name="depths", title=marked("Equal depths"), stimulus="rtig", min_force_n=-0.6, max_force_n=10.0, seconds=5.0
+    ),
+)
+"""Tests that are offered by name; the thesis test is that of the demonstration (thesis 3.1.3 and Fig. 3.8)."""
 
 
 PseudonymConfirmed = Annotated[
@@ -354,7 +420,6 @@ class TestPlan(FilePlayback, TestSettings):
         """
         from tissueid.acquisition.stimulus_choice import usual_options
         from tissueid.stimuli import get_stimulus
-        from tissueid.stimuli.kinds.noise import Noise
 
         noise = self.stimulus in (None, Noise.name)
         kind = Noise if noise else get_stimulus(str(self.stimulus))  # without a look at the other kinds for noise
@@ -390,7 +455,6 @@ class TestPlan(FilePlayback, TestSettings):
 
     def within(self, greatest_n: float) -> Self:
         """Return this plan for an instrument with a maximum force of ``greatest_n``, N: the usual force is lowered."""
-        from tissueid.stimuli.kinds.noise import Noise
 
         wanted, lower = self.max_force_n, self.lower_force
         usual = self.stimulus_file is None and self.stimulus in (None, Noise.name)

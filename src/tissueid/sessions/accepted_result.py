@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
-from tissueid.option_errors import validation_reason
+from tissueid.plan_options import validation_reason
 from tissueid.sessions.model import Test
 from tissueid.version import SOFTWARE
 

@@ -21,7 +21,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.option_errors import option_error
+from tissueid.plan_options import option_error
 from tissueid.plugins import Registry
 
 GUIDED = "guided"

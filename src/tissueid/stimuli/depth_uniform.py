@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.option_errors import option_error
+from tissueid.plan_options import option_error
 from tissueid.stimuli.base import Array, check_range_order, with_preload
 from tissueid.stimuli.distributions import kolmogorov_distance
 from tissueid.stimuli.kinds.noise import Noise

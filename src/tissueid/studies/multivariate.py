@@ -76,28 +76,6 @@ def partial_least_squares(
     return corrected(pd.DataFrame(rows))
 
 
-@dataclass(frozen=True, eq=False)
-class PrincipalComponents:
-    """Principal components of kernels.
-
-    ``scores`` has shape (tests, components), ``shares`` (components,) the share of the variance of each, ``shapes``
-    (components, values) the components as kernels, ``mean`` (values,) the mean kernel.
-    """
-
-    scores: NDArray[np.float64]
-    shares: NDArray[np.float64]
-    shapes: NDArray[np.float64]
-    mean: NDArray[np.float64]
-
-
-def principal_components(kernels: NDArray[np.float64], count: int = 3) -> PrincipalComponents:
-    """Return the principal components of kernels, one flattened kernel per test, shape (tests, values)."""
-    model = PCA(min(count, *kernels.shape), svd_solver="full").fit(kernels)
-    return PrincipalComponents(
-        model.transform(kernels), model.explained_variance_ratio_, model.components_, model.mean_
-    )
-
-
 def _p_value(x: NDArray[np.float64], y: NDArray[np.float64], folds: KFold, most: int, permutations: int) -> float:
     # Least error over the numbers of components, of y and of permutations of it: with a number that was chosen for y
     # the p-values would be too small.
@@ -231,7 +209,7 @@ def kernel_components(
         inside: Mask = np.asarray(np.isfinite(kernels).all(axis=0))
         if len(rows) < LEAST_TESTS or not inside.any() or not np.ptp(kernels[:, inside], axis=0).any():
             continue
-        found.append(_components(name, rows, inside, principal_components(kernels[:, inside], COMPONENTS)))
+        found.append(_components(name, rows, kernels, inside))
     if not known.empty and not found:
         remarks.append(
             Message(
@@ -287,18 +265,21 @@ def score_table(components: Sequence[KernelComponents]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _components(name: str, rows: pd.DataFrame, inside: Mask, found: PrincipalComponents) -> KernelComponents:
-    spread = found.scores.std(axis=0, ddof=1)
+def _components(name: str, rows: pd.DataFrame, kernels: Array, inside: Mask) -> KernelComponents:
+    known = kernels[:, inside]
+    found = PCA(min(COMPONENTS, *known.shape), svd_solver="full").fit(known)
+    scored = found.transform(known)
+    spread = scored.std(axis=0, ddof=1)
     kept = spread > 1e-9 * spread.max(initial=0.0)
     spread = spread[kept]
     size = GRIDS[name].x.size
     mean, shapes = np.full(size, np.nan), np.full((spread.size, size), np.nan)
-    mean[inside] = found.mean
-    shapes[:, inside] = spread[:, None] * found.shapes[kept]
+    mean[inside] = found.mean_
+    shapes[:, inside] = spread[:, None] * found.components_[kept]
     scores = rows[["session", "test", "subject", "group", "sample"]].reset_index(drop=True)
-    for place, values in enumerate((found.scores[:, kept] / spread).T):
+    for place, values in enumerate((scored[:, kept] / spread).T):
         scores[_SCORE.format(place + 1)] = values
-    return KernelComponents(name, mean, shapes, found.shares[kept], scores)
+    return KernelComponents(name, mean, shapes, found.explained_variance_ratio_[kept], scores)
 
 
 def _of_persons(tests: pd.DataFrame) -> pd.Series:

@@ -11,7 +11,7 @@ from tissueid.audit import AuditError
 from tissueid.errors import LinkLostError
 from tissueid.formatting import label_and_unit, plus_minus
 from tissueid.instrument import SimulatedInstrument
-from tissueid.procedures.sitting import accept_sitting
+from tissueid.procedures.study_sitting import accept_sitting
 from tissueid.records import Estimate
 from tissueid.reports import pdf
 from tissueid.sessions.accepted_result import read_result

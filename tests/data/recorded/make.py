@@ -18,8 +18,7 @@ from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE
 from tissueid.messages import Message
 from tissueid.procedures.study_protocol import Protocol, protocol_text
-from tissueid.procedures.test_plan import TestPlan
-from tissueid.procedures.test_presets import PRESETS
+from tissueid.procedures.test_plan import PRESETS, TestPlan
 from tissueid.sessions import Session, Subject, Test, write_session
 from tissueid.sessions.imports import Choices, Source, assembled, export_session, import_test, parse_map
 from tissueid.sessions.model import reason_notes

@@ -16,7 +16,7 @@ from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.language import marked
 from tissueid.messages import Action, Listing, Message
-from tissueid.option_errors import option_error
+from tissueid.plan_options import option_error
 from tissueid.records import Estimate, Record
 
 Parameter = Literal["mass", "damping", "stiffness"]

@@ -13,7 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter,
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
-from tissueid.option_errors import validation_reason
+from tissueid.plan_options import validation_reason
 from tissueid.sessions.model import ORIGIN, STATUSES, Origin, Session, Subject, Test, attributes_of
 from tissueid.untrusted_input import StoredName, StoredText, json_value
 

@@ -14,7 +14,7 @@ import numpy as np
 from tissueid.formatting import fixed, label_and_unit, number, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
-from tissueid.procedures.sitting import SittingPlan
+from tissueid.procedures.study_sitting import SittingPlan
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.records import Estimate
 from tissueid.sessions import Test

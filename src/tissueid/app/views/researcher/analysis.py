@@ -47,7 +47,7 @@ from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
 from tissueid.language import _, plural
 from tissueid.messages import Message, Verbatim, translated
-from tissueid.option_errors import validation_reason
+from tissueid.plan_options import validation_reason
 from tissueid.procedures.control import Control, RemainingTime
 
 _STEPS = 1000

@@ -63,7 +63,7 @@ from tissueid.procedures.study_protocol import (
     sitting_steps,
 )
 from tissueid.procedures.study_subjects import DEMOGRAPHIC_FIELDS
-from tissueid.procedures.test_presets import PRESETS
+from tissueid.procedures.test_plan import PRESETS
 from tissueid.test_settings import Circumstances
 
 _ONE_ROW = 620
