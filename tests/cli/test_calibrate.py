@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from coded import made, message, says, shows
+from shell import complaint
 
 from tissueid.calibration import read_calibration, save_calibration, write_calibration
 from tissueid.calibration.file import utc_date
@@ -26,15 +27,6 @@ def kept(tmp_path_factory):
     files = ["--out", folder / "a.toml", "--report", folder / "a.html", "--json", folder / "a.json"]
     assert main([*STATIC, "--ambient", "25", "--repeats", "2", *map(str, files)]) == 0
     return folder
-
-
-def complaint(capsys, *arguments):
-    """Run a command that must refuse; returns its one line."""
-    assert main([*map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "Traceback" not in captured.err
-    return captured.err.strip().splitlines()[-1]
 
 
 def test_static_leaves_a_calibration_a_page_and_json(kept):

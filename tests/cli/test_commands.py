@@ -11,6 +11,7 @@ import pytest
 from golden.golden_page import check_golden_page
 from numpy.lib.stride_tricks import sliding_window_view
 from outside_data import RIG
+from shell import answer, complaint
 
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
@@ -44,23 +45,6 @@ def session_file(tmp_path_factory):
     arguments = ["test", "--device", "simulated://forearm?seed=4", "--site", "left forearm", "--out", str(path)]
     assert main([*arguments, "--repeats", "2", "--seconds", "2", "--subject", "P-7"]) == 0
     return path
-
-
-def answer(capsys, *arguments):
-    """Run a command that prints JSON; returns it parsed."""
-    assert main([*map(str, arguments), "--json", "-"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def complaint(capsys, *arguments):
-    """Run a command that must refuse; returns its one line."""
-    assert main([*map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    lines = captured.err.strip().splitlines()
-    assert lines[-1].startswith("tissueid: ")
-    assert "Traceback" not in captured.err
-    return lines[-1]
 
 
 def test_a_test_from_the_shell(session_file):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from pathlib import Path
@@ -13,6 +12,7 @@ from coded import made
 from identification import simulated
 from outside_data import RIG
 from reports.synthetic_sitting import make_session, make_test
+from shell import answer, complaint
 
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
@@ -34,21 +34,6 @@ def session_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compare") / "session.h5"
     write_session(path, make_session(make_test(1, seconds=2.5), make_test(2, seconds=2.0, seed=5), repeat))
     return path
-
-
-def answer(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
-    assert main([*map(str, arguments), "--json", "-"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main([*map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "Traceback" not in captured.err
-    line = captured.err.strip().splitlines()[-1]
-    assert line.startswith("tissueid: ")
-    return line
 
 
 def test_the_answer_holds_all_engines(session_file: Path, capsys: pytest.CaptureFixture[str]):

@@ -12,6 +12,7 @@ import pytest
 from endless_files import files_that_never_end
 from gap_records import DEVICE, changed, recorded
 from golden.golden_page import check_golden_page
+from shell import complaint
 
 from tissueid.cli import main
 from tissueid.sessions import Session, write_session
@@ -56,16 +57,6 @@ def stored(folder: Path, session: Session) -> Path:
     path = folder / "session.h5"
     write_session(path, session)
     return path
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main([*map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "Traceback" not in captured.err
-    lines = [line for line in captured.err.splitlines() if line.strip()]
-    assert lines[-1].startswith("tissueid: ")
-    return lines[-1]
 
 
 def diagnosed(path: Path, *options: object) -> dict:
@@ -144,7 +135,7 @@ def test_a_spoilt_reading_is_no_success(how, tmp_path: Path):
 def test_what_cannot_be_diagnosed_is_refused_in_one_line(session, says, tmp_path: Path, capsys):
     path = stored(tmp_path, session())
     out = tmp_path / "answer.json"
-    assert says in refused(capsys, "gap", "diagnose", path, "--workers", 1, "--json", out)
+    assert says in complaint(capsys, "gap", "diagnose", path, "--workers", 1, "--json", out)
     assert not out.exists()
 
 
@@ -158,15 +149,15 @@ def test_what_cannot_be_diagnosed_is_refused_in_one_line(session, says, tmp_path
     ],
 )
 def test_options_that_cannot_be_followed(options, says, session_file: Path, capsys):
-    assert says in refused(capsys, "gap", "diagnose", session_file, "--workers", 1, *options)
+    assert says in complaint(capsys, "gap", "diagnose", session_file, "--workers", 1, *options)
 
 
 def test_files_that_are_no_sessions(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     rubbish = tmp_path / "rubbish.h5"
     rubbish.write_bytes(b"no session at all" * 100)
-    refused(capsys, "gap", "diagnose", rubbish)
-    refused(capsys, "gap", "diagnose", tmp_path / "absent.h5")
-    refused(capsys, "gap", "diagnose", tmp_path)
+    complaint(capsys, "gap", "diagnose", rubbish)
+    complaint(capsys, "gap", "diagnose", tmp_path / "absent.h5")
+    complaint(capsys, "gap", "diagnose", tmp_path)
 
 
 def test_a_batch_answers_for_every_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -184,7 +175,7 @@ def test_a_batch_answers_for_every_file(tmp_path: Path, capsys: pytest.CaptureFi
     assert "good.h5: no gap" in capsys.readouterr().out
     empty = tmp_path / "empty"
     empty.mkdir()
-    assert "no session files" in refused(capsys, "gap", "batch", empty, "--json", out)
+    assert "no session files" in complaint(capsys, "gap", "batch", empty, "--json", out)
 
 
 def test_an_interval_that_cannot_be_told_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -12,6 +12,7 @@ from coded import says, shows
 from endless_files import files_that_never_end
 from gap_records import DEVICE, RATE_HZ, SIGNALS, scenario
 from reports.page_check import checked
+from shell import complaint
 
 from firmware_sim.effects import in_order
 from tissueid.cli import main
@@ -147,22 +148,12 @@ def test_a_cancelled_procedure_leaves_nothing_behind(watched: Path, tmp_path: Pa
     assert not list((tmp_path / "cache").rglob("*.json"))
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    assert main([*map(str, words)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    lines = [line for line in captured.err.splitlines() if line.startswith("tissueid: ")]
-    assert len(lines) == 1
-    assert "Traceback" not in captured.err
-    return lines[0]
-
-
 def test_bad_input_is_refused_in_one_line(watched: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     twin = watched.parent / "arm.toml"
     empty = tmp_path / "empty"
     empty.mkdir()
-    assert "no session files" in refused(capsys, "gap", "watch", empty, "--twin", twin)
-    assert "cannot read" in refused(capsys, "gap", "watch", watched, "--twin", tmp_path / "none.toml")
+    assert "no session files" in complaint(capsys, "gap", "watch", empty, "--twin", twin)
+    assert "cannot read" in complaint(capsys, "gap", "watch", watched, "--twin", tmp_path / "none.toml")
     write_session(empty / "bare.h5", Session(DEVICE))
     first = session(1, "2026-03-01T08:00:00Z")
     (test,) = first.tests
@@ -171,11 +162,11 @@ def test_bad_input_is_refused_in_one_line(watched: Path, tmp_path: Path, capsys:
     other = replace(DEVICE, stroke_m=0.02)
     write_session(empty / "other.h5", replace(first, instrument=other))
     assert shows(
-        refused(capsys, "gap", "watch", empty, "--twin", twin, "--workers", 1), "gap.nothing_watched", file="bare.h5"
+        complaint(capsys, "gap", "watch", empty, "--twin", twin, "--workers", 1), "gap.nothing_watched", file="bare.h5"
     )
-    line = refused(capsys, "gap", "diagnose", empty / "other.h5", "--twin", twin, "--workers", 1)
+    line = complaint(capsys, "gap", "diagnose", empty / "other.h5", "--twin", twin, "--workers", 1)
     assert shows(line, "gap.other_instrument", twin="arm", name="stroke_m")
-    assert "too short" in refused(capsys, "gap", "diagnose", empty / "short.h5", "--twin", twin, "--workers", 1)
+    assert "too short" in complaint(capsys, "gap", "diagnose", empty / "short.h5", "--twin", twin, "--workers", 1)
 
 
 def test_a_session_that_cannot_be_used_is_listed_with_its_reason(watched: Path, tmp_path: Path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from coded import shows
 from outside_data import REAL
+from shell import complaint
 
 from tissueid.cli import main
 from tissueid.sessions import Session, Test, read_session, write_session
@@ -27,16 +28,6 @@ def table(tmp_path):
     path = tmp_path / "record.csv"
     path.write_text("time,force,disp\n" + "\n".join(rows) + "\n")
     return path
-
-
-def complaint(capsys, *arguments):
-    assert main([*map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "Traceback" not in captured.err
-    line = captured.err.strip().splitlines()[-1]
-    assert line.startswith("tissueid: ")
-    return line
 
 
 def test_import_then_identify(table, tmp_path, capsys):

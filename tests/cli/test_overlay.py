@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
+from shell import complaint
 
 from tissueid.cli import main
 from tissueid.sessions import write_session
@@ -25,14 +26,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     write_session(paths[0], make_session(*tests))
     write_session(paths[1], make_session(replace(make_test(1, seconds=2.0, seed=7), site="right arm")))
     return paths
-
-
-def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main([*map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "Traceback" not in captured.err
-    return captured.err.strip().splitlines()[-1]
 
 
 def test_tests_of_several_sessions_in_one_figure(

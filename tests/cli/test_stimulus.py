@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from coded import shows
 from reports.page_check import checked
+from shell import answer, complaint
 
 from tissueid.cli import main
 from tissueid.procedures.control import Control
@@ -40,24 +40,6 @@ SHORT: dict[str, tuple[str, ...]] = {
 IMPOSSIBLE = ("interchange", "--option", "spectrum=autocorrelation")
 
 
-def answer(capsys: pytest.CaptureFixture[str], *arguments: object) -> Any:
-    """Run a command that prints JSON; returns it parsed."""
-    assert main(["stimulus", *map(str, arguments), "--json", "-"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run a command that must refuse; returns its one line."""
-    assert main(["stimulus", *map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "Traceback" not in captured.err
-    line = captured.err.strip().splitlines()[-1]
-    assert line.startswith("tissueid: ")
-    assert len(line) < 600
-    return line
-
-
 def test_every_kind_is_tried_here():
     assert set(stimulus_names()) == set(SHORT)
 
@@ -65,7 +47,7 @@ def test_every_kind_is_tried_here():
 @pytest.mark.parametrize("kind", SHORT)
 def test_every_kind_is_designed_drawn_and_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str):
     page, file = tmp_path / "page.html", tmp_path / "stimulus.json"
-    found = answer(capsys, kind, *SHORT[kind], "--plot", page, "--out", file)
+    found = answer(capsys, "stimulus", kind, *SHORT[kind], "--plot", page, "--out", file)
     assert found["description"]["type"] == kind
     assert found["sample_rate_hz"] == 2000.0
     assert f"Stimulus {kind}" in checked(page.read_text(encoding="utf-8")).text
@@ -76,23 +58,23 @@ def test_every_kind_is_designed_drawn_and_saved(tmp_path: Path, capsys: pytest.C
 @pytest.mark.parametrize("kind", [kind for kind in SHORT if kind != "rtig"])
 def test_a_saved_one_is_the_same_again(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str):
     file = tmp_path / "stimulus.json"
-    found = answer(capsys, kind, *SHORT[kind], "--out", file)
-    again = answer(capsys, file)
+    found = answer(capsys, "stimulus", kind, *SHORT[kind], "--out", file)
+    again = answer(capsys, "stimulus", file)
     assert again["sha256"] == found["sha256"]
     assert again | {"interchange": None} == found | {"interchange": None}
 
 
 def test_a_saved_feedback_stimulus_is_played_as_designed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "stimulus.json"
-    found = answer(capsys, "rtig", *SHORT["rtig"], "--out", file)
-    again = answer(capsys, file)
+    found = answer(capsys, "stimulus", "rtig", *SHORT["rtig"], "--out", file)
+    again = answer(capsys, "stimulus", file)
     assert again["kolmogorov_distance"] == found["kolmogorov_distance"]
     assert again["description"] == found["description"]
 
 
 def test_samples_as_text_come_back_to_the_last_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     samples = tmp_path / "samples.csv"
-    found = answer(capsys, "noise", "--seconds", "0.5", "--seed", 3, "--csv", samples)
+    found = answer(capsys, "stimulus", "noise", "--seconds", "0.5", "--seed", 3, "--csv", samples)
     rows = list(csv.DictReader(samples.read_text().splitlines()))
     built = get_stimulus("noise").from_options({"seconds": 0.5, "seed": 3}).build()  # type: ignore[attr-defined]
     np.testing.assert_array_equal([float(row["force_n"]) for row in rows], built.values)
@@ -103,7 +85,9 @@ def test_samples_as_text_come_back_to_the_last_bit(tmp_path: Path, capsys: pytes
 
 
 def test_what_is_said_of_a_stimulus_can_be_worked_out_from_its_samples(capsys: pytest.CaptureFixture[str]):
-    found = answer(capsys, "noise", "--seconds", "1", "--option", "distribution=uniform", "--max-force", "6")
+    found = answer(
+        capsys, "stimulus", "noise", "--seconds", "1", "--option", "distribution=uniform", "--max-force", "6"
+    )
     force = (
         get_stimulus("noise")
         .from_options(  # type: ignore[attr-defined]
@@ -124,7 +108,7 @@ def test_what_is_said_of_a_stimulus_can_be_worked_out_from_its_samples(capsys: p
 
 def test_an_interchange_tells_its_swaps_and_its_error(capsys: pytest.CaptureFixture[str]):
     arguments = ("--seconds", "0.5", "--option", "spectrum=band", "--option", "lags=50", "--option", "tolerance=1e-5")
-    found = answer(capsys, "interchange", *arguments)
+    found = answer(capsys, "stimulus", "interchange", *arguments)
     assert found["autocorrelation_error"] <= 1e-5
     assert found["autocorrelation_lags"] == 50
     assert found["amplitude_distance"] == 0.0
@@ -155,16 +139,19 @@ def test_a_caution_is_printed(capsys: pytest.CaptureFixture[str]):
 
 
 def test_kinds_and_options_as_json(capsys: pytest.CaptureFixture[str]):
-    kinds = answer(capsys)
+    kinds = answer(capsys, "stimulus")
     assert {item["kind"] for item in kinds if item["generated_while_the_test_runs"]} == {"rtig"}
-    schema = answer(capsys, "noise", "--options")
+    schema = answer(capsys, "stimulus", "noise", "--options")
     assert schema["properties"]["order"]["maximum"] == 12
 
 
 def test_the_device_that_is_named_is_the_one_that_is_designed_for(capsys: pytest.CaptureFixture[str]):
-    found = answer(capsys, "noise", "--seconds", "0.5", "--device", "simulated://spring")
+    found = answer(capsys, "stimulus", "noise", "--seconds", "0.5", "--device", "simulated://spring")
     assert found["samples"] == 1000
-    assert "simulated://spring" in answer(capsys, "rtig", *SHORT["rtig"], "--device", "simulated://spring")["device"]
+    assert (
+        "simulated://spring"
+        in answer(capsys, "stimulus", "rtig", *SHORT["rtig"], "--device", "simulated://spring")["device"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -231,7 +218,7 @@ def test_rubbish_is_refused_in_one_line(
     before = sorted(path.name for path in tmp_path.iterdir())
     named = [str(files.get(word, word)) for word in arguments]
     named = [word.replace("FOLDER", str(tmp_path)).replace("LETTER", str(tmp_path / "letter")) for word in named]
-    assert words in complaint(capsys, *named)
+    assert words in complaint(capsys, "stimulus", *named)
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
