@@ -14,7 +14,7 @@ import support
 
 from tissueid.app.user_files import ENVIRONMENT as ANALYSES
 from tissueid.audit import ENVIRONMENT, ROLE_ENVIRONMENT
-from tissueid.calibration.store import VARIABLE as CALIBRATIONS
+from tissueid.calibration.status import VARIABLE as CALIBRATIONS
 from tools.translations import compile_stale
 
 

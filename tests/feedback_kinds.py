@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tissueid.stimuli.feedback import BLOCK, FeedbackKind, FeedbackSource
+from tissueid.stimuli.base import BLOCK, FeedbackKind, FeedbackSource
 
 
 class PushBack(FeedbackKind):

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy import signal
 
-from tissueid.calibration.sweep_test import SweepTest
+from tissueid.calibration.spring_points import SweepTest
 
 STEP_HZ = 24e3
 

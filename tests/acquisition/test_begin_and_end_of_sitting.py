@@ -37,7 +37,7 @@ from tissueid.sessions import read_session, write_session
     "place",
     [
         "h5py.File",
-        "tissueid.sessions.hdf5_writing.write_test",
+        "tissueid.sessions.hdf5_session.write_test",
         "tissueid.atomic_write.os.fsync",
         "tissueid.atomic_write.os.link",
     ],

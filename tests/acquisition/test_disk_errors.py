@@ -33,7 +33,7 @@ from tissueid.acquisition.journal import Journal
 from tissueid.audit import AuditLog, AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE, Run
-from tissueid.sessions import hdf5_writing, read_session
+from tissueid.sessions import hdf5_session, read_session
 
 RELEASED_S = 0.06
 """One poll after a failure the coil is free."""
@@ -270,14 +270,14 @@ def test_a_folder_that_goes_away_ends_the_test(tmp_path, how):
 # -- files of others -----------------------------------------------------------------------------------------
 def test_a_file_that_appears_while_the_session_is_written_is_not_overwritten(tmp_path, monkeypatch):
     recorder = a_sitting(tmp_path / "s.h5")
-    sound = hdf5_writing.verify
+    sound = hdf5_session.verify
 
     def appears(*arguments):
         sound(*arguments)
         recorder.path.write_text("another's")
 
     with monkeypatch.context() as patch:
-        patch.setattr(hdf5_writing, "verify", appears)
+        patch.setattr(hdf5_session, "verify", appears)
         with pytest.raises(JournalError) as raised:
             recorder.finish()
     journal = journal_path(recorder.path)
@@ -310,7 +310,7 @@ def test_what_a_kill_at_the_end_left_is_removed_by_recover(tmp_path, monkeypatch
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(hdf5_writing, "verify", dies)
+        patch.setattr(hdf5_session, "verify", dies)
         with pytest.raises(KeyboardInterrupt):
             recorder.finish()
     recorder.abandon()

@@ -20,7 +20,7 @@ from tissueid.errors import (
 )
 from tissueid.instrument import Limits, ReplayInstrument, SimulatedInstrument
 from tissueid.stimuli import get_stimulus
-from tissueid.stimuli.feedback import BLOCK
+from tissueid.stimuli.base import BLOCK
 from tissueid.test_settings import TestSettings
 from tissueid.wire import Fault
 

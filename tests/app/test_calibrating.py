@@ -17,7 +17,7 @@ from tissueid.app.emergency import BY_BUTTON, EmergencyStop
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.calibration import CalibratedQuantity, Calibration, plans, read_calibration
-from tissueid.calibration.store import free_name
+from tissueid.calibration.status import free_name
 from tissueid.errors import CancelledError
 from tissueid.procedures.control import BY_KEY
 from tissueid.reports import calibration_page

@@ -25,7 +25,7 @@ from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.signals import SignalFigure, StatisticsTable
 from tissueid.app.views.technician.calibration_panels import SweepsPanel
 from tissueid.calibration import CalibratedQuantity
-from tissueid.calibration.labels import label_of
+from tissueid.calibration.status import label_of
 from tissueid.formatting import figure_text, value_and_rest
 from tissueid.gap.diagnosis_content import Fitted, Rival
 from tissueid.procedures.test_plan import TestPlan

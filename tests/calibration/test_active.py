@@ -25,8 +25,7 @@ from tissueid.calibration import (
     write_calibration,
 )
 from tissueid.calibration.active import NO_REGION, NOT_CALIBRATED, corrections, warnings_of
-from tissueid.calibration.status import status_for_device
-from tissueid.calibration.store import VARIABLE
+from tissueid.calibration.status import VARIABLE, status_for_device
 from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import Correction, Limits, SimulatedInstrument
 from tissueid.messages import Message, code_of

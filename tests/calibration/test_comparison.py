@@ -16,7 +16,7 @@ from tissueid.calibration.comparison import (
     residuals,
     trend,
 )
-from tissueid.calibration.labels import label_of
+from tissueid.calibration.status import label_of
 from tissueid.errors import UnusableInputError
 
 PLACES = tuple(0.002 * k for k in range(1, 16))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tissueid.calibration import CalibratedQuantity, Calibration, read_calibration, write_calibration
 from tissueid.calibration.file import MAX_BYTES, to_toml, utc_date
-from tissueid.calibration.labels import notes_of, problems_of
+from tissueid.calibration.status import notes_of, problems_of
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, code_of
 from tissueid.messages import Quantity as ShownQuantity

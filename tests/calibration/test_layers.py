@@ -21,8 +21,7 @@ from tissueid.calibration.active import (
     warnings_of,
 )
 from tissueid.calibration.file import CalibratedQuantity, utc_date
-from tissueid.calibration.labels import label_of, problems_of
-from tissueid.calibration.status import first_implausible
+from tissueid.calibration.status import first_implausible, label_of, problems_of
 from tissueid.errors import InstrumentError
 from tissueid.instrument import Correction, SerialInstrument, SimulatedInstrument
 from tissueid.instrument.handshake import parse_hello

@@ -9,12 +9,11 @@ from support import connect
 from firmware_sim.converters import ChannelError
 from firmware_sim.plant import STANDARD_GRAVITY, PlantParameters
 from tissueid.calibration import StaticPlan, calibrate_static, read_calibration, write_calibration
-from tissueid.calibration.file import CalibratedQuantity
-from tissueid.calibration.findings import CalibrationFindings, mean_of_repeats
-from tissueid.calibration.labels import problems_of
+from tissueid.calibration.file import CalibratedQuantity, CalibrationFindings, mean_of_repeats
 from tissueid.calibration.plans import Spring
 from tissueid.calibration.sensors import mains, position_findings
 from tissueid.calibration.static_procedure import PUSH_ONLY
+from tissueid.calibration.status import problems_of
 from tissueid.calibration.step_levels import straight_line
 from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, UnusableInputError
 from tissueid.instrument import SimulatedInstrument

@@ -7,8 +7,7 @@ import pytest
 from coded import coded, codes, message, says
 
 from tissueid.calibration.coil import electrical_findings, force_by_spring, force_by_weights
-from tissueid.calibration.file import CalibratedQuantity
-from tissueid.calibration.findings import CalibrationFindings, mean_of_repeats, quantity
+from tissueid.calibration.file import CalibratedQuantity, CalibrationFindings, mean_of_repeats, quantity
 from tissueid.calibration.plans import Spring, StaticPlan
 from tissueid.calibration.sensors import (
     Crossing,

@@ -16,7 +16,7 @@ from tissueid.acquisition import SessionRecorder
 from tissueid.calibration import apply_calibrations, read_calibration, write_calibration
 from tissueid.calibration import sweep as procedure
 from tissueid.calibration.plans import SweepPlan
-from tissueid.calibration.store import Stored
+from tissueid.calibration.status import Stored
 from tissueid.calibration.sweep import Sweep, sweep_tests, wait_for_position
 from tissueid.calibration.sweep_analysis import analyse_sweep, as_calibration
 from tissueid.errors import CancelledError, FirmwareFaultError, UnusableInputError

@@ -9,12 +9,11 @@ from coded import coded, is_german, message, says
 from spring_rig import Rig, swept
 
 from tissueid.calibration import sweep_analysis
-from tissueid.calibration.flux import fit_flux
+from tissueid.calibration.flux import SplineBasis, fit_flux
 from tissueid.calibration.force_constant import fit_balance, linear_region
-from tissueid.calibration.labels import problems_of
-from tissueid.calibration.spline_basis import SplineBasis
+from tissueid.calibration.spring_points import SweepTest
+from tissueid.calibration.status import problems_of
 from tissueid.calibration.sweep_analysis import SpringMass, analyse_sweep, as_calibration
-from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms

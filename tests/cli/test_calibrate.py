@@ -12,8 +12,7 @@ from shell import complaint
 
 from tissueid.calibration import read_calibration, save_calibration, write_calibration
 from tissueid.calibration.file import utc_date
-from tissueid.calibration.labels import label_of, problems_of
-from tissueid.calibration.store import VARIABLE
+from tissueid.calibration.status import VARIABLE, label_of, problems_of
 from tissueid.cli import main
 
 SPRING = "simulated://spring?seed=4"

@@ -17,8 +17,7 @@ from firmware_sim.line_faults import LINE_KINDS
 from tissueid.acquisition import GuidedTest, run_guided_test
 from tissueid.errors import CancelledError, TissueIDError
 from tissueid.sessions import Session
-from tissueid.stimuli.base import to_voltage
-from tissueid.stimuli.feedback import FeedbackKind
+from tissueid.stimuli.base import FeedbackKind, to_voltage
 from tissueid.wire import State
 
 SECONDS = 30.0

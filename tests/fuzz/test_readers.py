@@ -31,8 +31,7 @@ from tissueid.sessions.imports import Choices, Source, export_session, import_te
 from tissueid.stimuli import get_stimulus
 from tissueid.twin.catalogue import effect
 from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
-from tissueid.twin.named_twin import NamedTwin
-from tissueid.twin.simulation import ActiveEffect
+from tissueid.twin.simulation import ActiveEffect, NamedTwin
 from tissueid.untrusted_input import MEMORY_BYTES, SECONDS
 
 U = np.random.default_rng(5).standard_normal((40, 2))

@@ -14,7 +14,7 @@ from outside_data import RIG
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.sessions import Session, Subject, Test, read_session, write_session
-from tissueid.sessions import hdf5_reading as session_file
+from tissueid.sessions import hdf5_session as session_file
 
 BLIND = sorted(RIG.glob("*.h5"))
 

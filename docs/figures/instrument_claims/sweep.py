@@ -17,10 +17,9 @@ from firmware_sim.bench import Bench
 from firmware_sim.coil import profile_values
 from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
-from tissueid.calibration.flux import fit_flux
+from tissueid.calibration.flux import SplineBasis, fit_flux
 from tissueid.calibration.force_constant import fit_balance
 from tissueid.calibration.plans import SweepPlan
-from tissueid.calibration.spline_basis import SplineBasis
 from tissueid.calibration.sweep import Sweep, sweep_tests
 from tissueid.calibration.sweep_analysis import SpringMass, SweepResult, analyse_sweep
 from tissueid.device import DeviceDescription

@@ -35,8 +35,7 @@ from tissueid.instrument.force_profile import recorded_force
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim
 from tissueid.sessions.model import Test, reason_notes
-from tissueid.stimuli.base import Array, Stimulus, Unit, to_voltage
-from tissueid.stimuli.feedback import FeedbackKind
+from tissueid.stimuli.base import Array, FeedbackKind, Stimulus, Unit, to_voltage
 from tissueid.test_settings import TestSettings
 from tissueid.wire import Flag
 

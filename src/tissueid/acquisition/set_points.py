@@ -15,8 +15,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, Run
 from tissueid.instrument.force_profile import recorded_force
-from tissueid.stimuli.base import GUIDED, Array, Stimulus, preload_values, to_voltage
-from tissueid.stimuli.feedback import BLOCK, FeedbackKind
+from tissueid.stimuli.base import BLOCK, GUIDED, Array, FeedbackKind, Stimulus, preload_values, to_voltage
 from tissueid.untrusted_input import MAX_TEXT
 
 _REHEARSAL_S = 2.0

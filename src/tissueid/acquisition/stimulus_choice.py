@@ -15,8 +15,15 @@ from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.stimuli import build_from_specification
-from tissueid.stimuli.base import GUIDED, OpenLoopKind, Stimulus, StimulusKind, parse_description, with_preload
-from tissueid.stimuli.feedback import FeedbackKind
+from tissueid.stimuli.base import (
+    GUIDED,
+    FeedbackKind,
+    OpenLoopKind,
+    Stimulus,
+    StimulusKind,
+    parse_description,
+    with_preload,
+)
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.kinds.waveform import Scaled, Waveform
 from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS, USUAL_SEED, FilePlayback

@@ -29,7 +29,7 @@ from tissueid.app.signals import SignalPlots
 from tissueid.app.words import in_words, sentence
 from tissueid.audit import AuditTrail
 from tissueid.calibration.active import apply_calibrations
-from tissueid.calibration.store import create_calibration_folder, stored_calibrations
+from tissueid.calibration.status import create_calibration_folder, stored_calibrations
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.instrument import CLINICAL, Instrument
 from tissueid.language import _

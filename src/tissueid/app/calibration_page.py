@@ -28,7 +28,7 @@ from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.widgets import BigButton
 from tissueid.app.words import sentence
 from tissueid.calibration.file import CalibratedQuantity, Calibration
-from tissueid.calibration.labels import headline_of, problems_of
+from tissueid.calibration.status import headline_of, problems_of
 from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
 from tissueid.messages import translated

@@ -8,7 +8,7 @@ from datetime import datetime
 from tissueid.app.words import sentence
 from tissueid.calibration.active import calibration_summary, warnings_of
 from tissueid.calibration.file import CalibratedQuantity
-from tissueid.calibration.labels import readable
+from tissueid.calibration.status import readable
 from tissueid.device import DeviceDescription
 from tissueid.formatting import plus_minus
 from tissueid.language import marked

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     )
     from tissueid.calibration.plans import StaticPlan
     from tissueid.calibration.static_procedure import StaticCalibration, calibrate_static
-    from tissueid.calibration.store import (
+    from tissueid.calibration.status import (
         Stored,
         calibration_folder,
         create_calibration_folder,
@@ -47,7 +47,7 @@ else:
             ),
             "plans": ("StaticPlan",),
             "static_procedure": ("StaticCalibration", "calibrate_static"),
-            "store": (
+            "status": (
                 "Stored",
                 "calibration_folder",
                 "free_name",

@@ -10,9 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from tissueid.calibration.file import Calibration
-from tissueid.calibration.labels import label_of
-from tissueid.calibration.status import BOUNDS, DEVICE_TOLERANCES, State, status_for_device
-from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
+from tissueid.calibration.status import (
+    BOUNDS,
+    DEVICE_TOLERANCES,
+    State,
+    Stored,
+    calibration_folder,
+    label_of,
+    status_for_device,
+    stored_calibrations,
+)
 from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP, DeviceDescription, warning_entries
 from tissueid.instrument import Correction, Instrument
 from tissueid.instrument.force_profile import PROFILE, profile_text

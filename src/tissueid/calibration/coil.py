@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.calibration.file import utc_date
-from tissueid.calibration.findings import CalibrationFindings, column, quantity
+from tissueid.calibration.file import CalibrationFindings, column, quantity, utc_date
 from tissueid.calibration.plans import Spring
 from tissueid.calibration.status import IMPLAUSIBLE
 from tissueid.calibration.step_levels import Levels, StraightLine, hold_levels, mean, noise_of_mean, straight_line

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.calibration.file import CalibratedQuantity, Calibration
-from tissueid.calibration.labels import label_of
+from tissueid.calibration.status import label_of
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, fixed
 from tissueid.language import marked

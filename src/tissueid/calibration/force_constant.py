@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special, stats
 
-from tissueid.calibration.flux import FluxFit
-from tissueid.calibration.spline_basis import Array, SplineBasis, solution_covariance, solve_least_squares
-from tissueid.calibration.spring_points import SpringPoint
-from tissueid.calibration.sweep_test import SweepTest
+from tissueid.calibration.flux import Array, FluxFit, SplineBasis, solution_covariance, solve_least_squares
+from tissueid.calibration.spring_points import SpringPoint, SweepTest
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked

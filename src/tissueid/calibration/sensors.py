@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition import play
-from tissueid.calibration.findings import CalibrationFindings, column, quantity
-from tissueid.calibration.labels import CHANNELS
+from tissueid.calibration.file import CalibrationFindings, column, quantity
+from tissueid.calibration.status import CHANNELS
 from tissueid.calibration.step_levels import (
     Cancelled,
     Levels,

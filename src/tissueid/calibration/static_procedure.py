@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from tissueid.acquisition.background_work import run_while_polling
 from tissueid.calibration.coil import electrical_findings, force_by_spring, force_by_weights, spring_line
-from tissueid.calibration.file import Calibration, stored_messages, utc_date
-from tissueid.calibration.findings import CalibrationFindings, mean_of_repeats
-from tissueid.calibration.labels import stored_text
+from tissueid.calibration.file import Calibration, CalibrationFindings, mean_of_repeats, stored_messages, utc_date
 from tissueid.calibration.plans import StaticPlan
 from tissueid.calibration.sensors import (
     Crossing,
@@ -27,7 +25,7 @@ from tissueid.calibration.sensors import (
     supply_findings,
     temperature_findings,
 )
-from tissueid.calibration.status import first_implausible
+from tissueid.calibration.status import first_implausible, stored_text
 from tissueid.calibration.step_levels import Levels, StraightLine, hold_levels, mean, rest_samples
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError

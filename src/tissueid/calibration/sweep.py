@@ -17,9 +17,8 @@ from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, run_guid
 from tissueid.acquisition.playback import POLL_S, never_stop
 from tissueid.acquisition.surface_detection import Orientation, Placement, find_orientation
 from tissueid.calibration.plans import MIN_SWING_M, SweepPlan
-from tissueid.calibration.spring_points import gentle_test_model, max_swing, noise, noise_amplitude
+from tissueid.calibration.spring_points import SweepTest, gentle_test_model, max_swing, noise, noise_amplitude
 from tissueid.calibration.step_levels import mean, rest_samples
-from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, TissueIDError, UnusableInputError
 from tissueid.instrument import Instrument, SerialInstrument

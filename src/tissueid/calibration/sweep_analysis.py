@@ -9,9 +9,8 @@ from datetime import UTC, datetime
 import numpy as np
 from pydantic import ValidationError
 
-from tissueid.calibration.file import CalibratedQuantity, Calibration, stored_messages, utc_date
-from tissueid.calibration.findings import column, quantity
-from tissueid.calibration.flux import FluxFit, fit_flux
+from tissueid.calibration.file import CalibratedQuantity, Calibration, column, quantity, stored_messages, utc_date
+from tissueid.calibration.flux import MIN_SPACING_M, FluxFit, SplineBasis, fit_flux
 from tissueid.calibration.force_constant import (
     ELECTRICAL_STD,
     Agreement,
@@ -23,12 +22,9 @@ from tissueid.calibration.force_constant import (
     fit_balance,
     linear_region,
 )
-from tissueid.calibration.labels import stored_text
 from tissueid.calibration.plans import Spring
-from tissueid.calibration.spline_basis import MIN_SPACING_M, SplineBasis
-from tissueid.calibration.spring_points import SpringPoint, identify_point
-from tissueid.calibration.status import IMPLAUSIBLE, first_implausible
-from tissueid.calibration.sweep_test import SweepTest
+from tissueid.calibration.spring_points import SpringPoint, SweepTest, identify_point
+from tissueid.calibration.status import IMPLAUSIBLE, first_implausible, stored_text
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked

@@ -15,8 +15,7 @@ from rich.live import Live
 from rich.text import Text
 
 from tissueid.calibration.file import Calibration
-from tissueid.calibration.labels import headline_of, notes_of, readable
-from tissueid.calibration.store import calibration_folder, is_in_calibration_folder
+from tissueid.calibration.status import calibration_folder, headline_of, is_in_calibration_folder, notes_of, readable
 from tissueid.calibration.sweep_analysis import SweepResult
 from tissueid.cli.output import ConsoleControl, Output, at_terminal, console, progress_bars, table
 from tissueid.errors import UnusableInputError

@@ -26,7 +26,7 @@ from tissueid.messages import Action, Message, Verbatim
 from tissueid.sessions import read_session
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect
-from tissueid.twin.named_twin import NamedTwin
+from tissueid.twin.simulation import NamedTwin
 from tissueid.version import SOFTWARE
 
 RELATIVE_STD = 0.1

@@ -22,9 +22,8 @@ from tissueid.plan_options import validation_reason
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
-from tissueid.twin.named_twin import NamedTwin
 from tissueid.twin.player import SUBSTEPS
-from tissueid.twin.simulation import ActiveEffect, values_by_name
+from tissueid.twin.simulation import ActiveEffect, NamedTwin, values_by_name
 from tissueid.untrusted_input import toml_table
 
 MOST_NAMED = MOST_EFFECTS

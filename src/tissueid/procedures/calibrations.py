@@ -15,10 +15,15 @@ from tissueid.acquisition import SessionRecorder
 from tissueid.audit import AuditTrail
 from tissueid.calibration.active import static_conditions, use_static_calibration
 from tissueid.calibration.file import Calibration, check_writable, read_calibration, save_calibration
-from tissueid.calibration.labels import notes_of
 from tissueid.calibration.static_procedure import calibrate_static
-from tissueid.calibration.status import file_status
-from tissueid.calibration.store import calibration_folder, create_calibration_folder, free_name, stored_calibrations
+from tissueid.calibration.status import (
+    calibration_folder,
+    create_calibration_folder,
+    file_status,
+    free_name,
+    notes_of,
+    stored_calibrations,
+)
 from tissueid.calibration.sweep import ProbePosition, Sweep, sweep_tests, wait_for_position
 from tissueid.calibration.sweep_analysis import analyse_sweep, as_calibration
 from tissueid.device import DeviceDescription

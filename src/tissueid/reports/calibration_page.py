@@ -21,7 +21,7 @@ from tissueid.analysis.curves.calibration_plots import (
 )
 from tissueid.calibration.comparison import Residuals, residuals
 from tissueid.calibration.file import CalibratedQuantity, Calibration
-from tissueid.calibration.labels import headline_of, label_of, notes_of, problems_of, readable, verdict_of
+from tissueid.calibration.status import headline_of, label_of, notes_of, problems_of, readable, verdict_of
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, number
 from tissueid.language import _, marked

@@ -24,7 +24,9 @@ from typing import IO, Any
 from tissueid.child_process import start
 from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.messages import Action, Message
-from tissueid.sessions import hdf5_mat, hdf5_members, hdf5_reading
+from tissueid.sessions import hdf5_mat, hdf5_members, hdf5_session
+from tissueid.sessions.file_policy import check_session_file
+from tissueid.sessions.model import Outline, Session, Test
 from tissueid.untrusted_input import MEMORY_BYTES, allowed_seconds
 
 _COMMAND = "from tissueid.sessions.reader_process import serve; serve()"
@@ -174,22 +176,22 @@ def read_in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
 
 def _session(path: Path) -> Iterator[Any]:
     with hdf5_members.opened(path) as opened:
-        yield hdf5_reading.read_all_but_tests(opened)
+        yield hdf5_session.read_all_but_tests(opened)
         tests = hdf5_members.subgroup(opened, "tests")
         for name in sorted(tests):
-            yield hdf5_reading.read_numbered(name, hdf5_members.subgroup(tests, name))
+            yield hdf5_session.read_numbered(name, hdf5_members.subgroup(tests, name))
 
 
 def _head(path: Path) -> Iterator[Any]:
-    yield hdf5_reading.read_session_head(path)
+    yield hdf5_session.read_session_head(path)
 
 
 def _outline(path: Path) -> Iterator[Any]:
-    yield hdf5_reading.read_outline(path)
+    yield hdf5_session.read_outline(path)
 
 
 def _test(path: Path, number: int) -> Iterator[Any]:
-    yield hdf5_reading.read_test(path, number)
+    yield hdf5_session.read_test(path, number)
 
 
 _TASKS: dict[str, Callable[..., Iterator[Any]]] = {
@@ -280,3 +282,52 @@ def _limit_memory(addresses: int, path: Path) -> None:
     with contextlib.suppress(OSError, ValueError):
         most = addresses + _MEMORY + _MEMORY_PER_BYTE * path.stat().st_size
         resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+
+
+def read_session(path: Path) -> Session:
+    """Read a session.
+
+    Raises:
+        SessionFormatError: missing, not a session, or not in accordance with the format or a limit.
+    """
+    head, *tests = _read("session", path)
+    session: Session = replace(head, tests=tuple(tests))
+    return session
+
+
+def read_session_head(path: Path) -> Session:
+    """Read a session without its tests.
+
+    Raises:
+        SessionFormatError: as ``read_session``.
+    """
+    (head,) = _read("head", path)
+    assert isinstance(head, Session)
+    return head
+
+
+def read_outline(path: Path) -> Outline:
+    """Read a session without its signals, in a few milliseconds for tests of any length.
+
+    Raises:
+        SessionFormatError: as ``read_session``.
+    """
+    (outline,) = _read("outline", path)
+    assert isinstance(outline, Outline)
+    return outline
+
+
+def read_test(path: Path, number: int) -> Test:
+    """Read one test of a session.
+
+    Raises:
+        SessionFormatError: as ``read_session``, or there is no such test.
+    """
+    (test,) = _read("test", path, number)
+    assert isinstance(test, Test)
+    return test
+
+
+def _read(task: str, path: Path, *arguments: Any) -> list[Any]:
+    check_session_file(path)  # at once, and with errors that distinguish a folder from a missing file
+    return read_in_child(task, path, *arguments)

@@ -1,6 +1,8 @@
 """Stimuli: specifications of open-loop force or voltage histories and of feedback-generated set-points."""
 
 from tissueid.stimuli.base import (
+    FeedbackKind,
+    FeedbackSource,
     OpenLoopKind,
     Ranged,
     Stimulus,
@@ -15,7 +17,6 @@ from tissueid.stimuli.base import (
     to_voltage,
     with_preload,
 )
-from tissueid.stimuli.feedback import FeedbackKind, FeedbackSource
 
 __all__ = [
     "FeedbackKind",

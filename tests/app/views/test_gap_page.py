@@ -39,7 +39,7 @@ from tissueid.test_settings import TestSettings
 from tissueid.twin import catalogue as shelf
 from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.effects.dry_friction import EFFECT as FRICTION
-from tissueid.twin.named_twin import NamedTwin
+from tissueid.twin.simulation import NamedTwin
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 

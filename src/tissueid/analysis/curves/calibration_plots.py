@@ -24,7 +24,7 @@ from tissueid.analysis.curves.plot import (
 from tissueid.analysis.curves.validation import KINDS, ROLES
 from tissueid.calibration.comparison import Residuals, Trend, linear_region, profile_of
 from tissueid.calibration.file import CalibratedQuantity, Calibration
-from tissueid.calibration.labels import label_of, unit_of_quantity
+from tissueid.calibration.status import label_of, unit_of_quantity
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.identification.second_order import SecondOrder

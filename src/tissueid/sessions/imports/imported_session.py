@@ -11,7 +11,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import SessionExistsError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.sessions.hdf5_writing import write_session
+from tissueid.sessions.hdf5_session import write_session
 from tissueid.sessions.imports.export_attributes import unknown_device
 from tissueid.sessions.imports.imported_test import Choices, Imported, Source, import_test
 from tissueid.sessions.model import Session, Subject

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
+from tissueid.sessions.imports.csv import blocks_of, encoding_of, lines_of, numbers, shown
 from tissueid.sessions.imports.imported_table import Column, ImportedTable, RowRange
-from tissueid.sessions.imports.text_cells import blocks_of, encoding_of, lines_of, numbers, shown
 from tissueid.untrusted_input import MAX_COLUMNS
 
 FIRST_LINE = "LabVIEW Measurement"

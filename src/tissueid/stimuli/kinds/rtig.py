@@ -13,8 +13,7 @@ from scipy import signal, special
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.stimuli.base import MAX_SAMPLES, Array, stimulus
-from tissueid.stimuli.feedback import BLOCK, FeedbackKind, FeedbackSource
+from tissueid.stimuli.base import BLOCK, MAX_SAMPLES, Array, FeedbackKind, FeedbackSource, stimulus
 from tissueid.stimuli.rtig.identified import (
     Averages,
     IdentifiedController,

@@ -19,8 +19,7 @@ from scipy import signal, special
 from tissueid.identification import adaptive_least_squares as adaptation
 from tissueid.identification.second_order import SecondOrder
 from tissueid.language import marked
-from tissueid.stimuli.base import Array
-from tissueid.stimuli.feedback import BLOCK
+from tissueid.stimuli.base import BLOCK, Array
 from tissueid.stimuli.rtig.static_map import DepthHistogram, StaticMap
 
 LEVELS = 8

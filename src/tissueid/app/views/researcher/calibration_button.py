@@ -12,7 +12,7 @@ from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.views.researcher.pictures import Pictures
 from tissueid.app.words import in_words
-from tissueid.calibration.store import calibration_folder
+from tissueid.calibration.status import calibration_folder
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.language import _
 from tissueid.procedures.overlay import sweep_columns

@@ -15,7 +15,7 @@ from PySide6.QtCore import QSettings
 
 from tissueid.app.context import AppServices
 from tissueid.app.words import in_words, sentence
-from tissueid.calibration.store import calibration_folder, user_calibration_folder
+from tissueid.calibration.status import calibration_folder, user_calibration_folder
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number, subject_text
 from tissueid.language import _, marked

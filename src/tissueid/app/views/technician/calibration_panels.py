@@ -29,7 +29,7 @@ from tissueid.calibration.comparison import (
     trend,
 )
 from tissueid.calibration.file import CalibratedQuantity, Calibration
-from tissueid.calibration.labels import label_of, notes_of, problems_of, verdict_of
+from tissueid.calibration.status import label_of, notes_of, problems_of, verdict_of
 from tissueid.formatting import clean, figure_text, fixed, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated

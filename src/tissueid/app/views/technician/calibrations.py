@@ -20,8 +20,7 @@ from tissueid.app.views.technician.tab import PiecesModel, Tab, table_of
 from tissueid.app.words import sentence
 from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.file import Calibration
-from tissueid.calibration.status import file_status, status_for_device
-from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
+from tissueid.calibration.status import Stored, calibration_folder, file_status, status_for_device, stored_calibrations
 from tissueid.device import DeviceDescription
 from tissueid.formatting import clean, local_minute
 from tissueid.language import _, marked
