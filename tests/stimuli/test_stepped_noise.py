@@ -10,6 +10,9 @@ from hypothesis import strategies as st
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.identification.engines.localized import Localized
+from tissueid.identification.second_order import SecondOrder
+from tissueid.records import Record
 from tissueid.stimuli import get_stimulus, rebuild, with_preload
 from tissueid.stimuli.kinds.noise import SteppedNoise
 from tissueid.stimuli.stimulus_check import assess_stimulus
@@ -40,6 +43,36 @@ def test_one_direction_alone(direction: str, sign: float):
     kind = SteppedNoise(levels=4, level_s=0.5, direction=direction)
     assert np.all(sign * np.diff(kind.means_n) > 0.0)
     assert kind.planned_samples() == 4 * 1000 == len(kind.build())
+
+
+@pytest.mark.parametrize(("direction", "turns"), [("in", [0.0, 1.0]), ("out", [1.0, 0.0]), ("both", [0.0, 1.0, 0.0])])
+@pytest.mark.parametrize("course", ["ramp", "sine"])
+def test_the_mean_can_move_all_the_time(course: str, direction: str, turns: list[float]):
+    kind = SteppedNoise(course=course, direction=direction, levels=4, level_s=0.5, amplitude_n=0.5, seed=3)
+    values = kind.build().values
+    assert values.size == kind.planned_samples()
+    place = np.linspace(0.0, len(turns) - 1.0, values.size)
+    share = np.interp(place, np.arange(len(turns)), turns)
+    mean = 1.0 + 7.0 * (share if course == "ramp" else np.sin(0.5 * np.pi * share) ** 2)
+    about = values - mean
+    assert np.abs(about).max() <= 0.51
+    assert abs(about.mean()) < 0.02
+    assert with_preload(kind.build(), 0.5).values[999] == pytest.approx(mean[0])
+
+
+@pytest.mark.parametrize("course", ["ramp", "sine"])
+def test_local_stiffness_is_found_about_a_moving_mean(course: str):
+    """A system of known tangent stiffness, 1 / (c1 c2) exp(c2 F), which is the slope of y = c1 (1 - exp(-c2 F))."""
+    kind = SteppedNoise(course=course, direction="in", levels=8, level_s=1.0, amplitude_n=0.5, seed=3)
+    force = kind.build().values
+    slow = SecondOrder(mass=0.09, damping=20.0, stiffness=1000.0).simulate(force, kind.sample_rate)  # m, 1 N/mm
+    record = Record(force, 8e-3 * (1.0 - np.exp(-0.15e3 * slow)), kind.sample_rate, "force", "position", "N", "m")
+    levels = (2.0, 3.5, 5.0, 6.5)
+    model = Localized(levels=levels).fit(record)
+    for level in model.levels:
+        tangent = np.exp(0.15 * level.force) / (8e-3 * 0.15)
+        assert level.fit.system.stiffness == pytest.approx(tangent, rel=0.06)
+    assert [level.force for level in model.levels][1:3] == pytest.approx([3.5, 5.0], abs=0.3)
 
 
 @settings(max_examples=25)

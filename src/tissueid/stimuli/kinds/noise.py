@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.stimuli.base import Array, OpenLoopKind, Stimulus, check_range_order, crest_factor, stimulus
+from tissueid.stimuli.kinds.slow_ramp import ramp
 from tissueid.stimuli.shape_options import DistributionName, Shaped
 from tissueid.stimuli.spectra import settling_samples
 from tissueid.stimuli.surrogate import first_mean_crossing, spectral_surrogate
@@ -102,11 +103,15 @@ class SteppedNoise(OpenLoopKind):
     highest is held once, so ``levels`` means give 2 ``levels`` - 1 holds. Two means are joined by a raised cosine of
     ``rise_s``, and one realisation of the noise runs through the whole test. The preload holds the first mean.
 
-    The engine ``localized`` fits mass, damping and stiffness about each mean.
+    With ``course`` "ramp" or "sine" the mean moves from end to end without holds, in the same time (Chen 2010, 5).
+
+    The engine ``localized`` fits mass, damping and stiffness about each mean; without holds its option ``levels`` says
+    about which loads.
     """
 
     name: ClassVar[str] = "stepped_noise"
     title: ClassVar[str] = marked("Small noise at several loads")
+    applies: ClassVar[Mapping[str, tuple[str, tuple[object, ...]]]] = {"rise_s": ("course", ("steps",))}
 
     force_min_n: float = Field(0.5, ge=-100.0, le=100.0, description=marked("Least force, N"))
     force_max_n: float = Field(8.5, ge=-100.0, le=100.0, description=marked("Greatest force, N"))
@@ -119,6 +124,9 @@ class SteppedNoise(OpenLoopKind):
         "both", description=marked("in: rising forces, out: falling forces, both: rising, then falling")
     )
     rise_s: float = Field(0.05, ge=0.002, le=1.0, description=marked("Time from one mean force to the next, s"))
+    course: Literal["steps", "ramp", "sine"] = Field(
+        "steps", description=marked("Course of the mean force: held in steps, or moving as a ramp or a sine")
+    )
     distribution: DistributionName = Field("gaussian", description=marked("Distribution of the noise"))
     cutoff_hz: float = Field(200.0, gt=0.0, description=marked("Cutoff frequency of the noise, Hz"))
     order: int = Field(8, ge=1, le=12, description=marked("Order of its low-pass"))
@@ -164,12 +172,7 @@ class SteppedNoise(OpenLoopKind):
     def build(self) -> Stimulus:
         """Build the history, shape (holds * level_s * sample_rate,), N."""
         means = self.means_n
-        hold = round(self.level_s * self.sample_rate)
-        rise = max(1.0, self.rise_s * self.sample_rate)
-        share = 0.5 * (1.0 - np.cos(np.pi * np.minimum(np.arange(1, hold + 1) / rise, 1.0)))
-        before = np.concatenate([means[:1], means[:-1]])
-        staircase = np.ravel(before[:, None] + (means - before)[:, None] * share)
-        values = staircase + self._noise().build().values
+        values = (self._steps() if self.course == "steps" else self._moving()) + self._noise().build().values
         return Stimulus(
             values=np.clip(values, self.force_min_n, self.force_max_n),
             sample_rate_hz=self.sample_rate,
@@ -178,6 +181,21 @@ class SteppedNoise(OpenLoopKind):
             crest_factor=crest_factor(values),
             start_value=float(means[0]),
         )
+
+    def _steps(self) -> Array:
+        hold = round(self.level_s * self.sample_rate)
+        rise = max(1.0, self.rise_s * self.sample_rate)
+        share = 0.5 * (1.0 - np.cos(np.pi * np.minimum(np.arange(1, hold + 1) / rise, 1.0)))
+        before = np.concatenate([self.means_n[:1], self.means_n[:-1]])
+        return np.ravel(before[:, None] + (self.means_n - before)[:, None] * share)
+
+    def _moving(self) -> Array:
+        """Return a mean force that moves from the first mean to the last, N, by way of the highest for "both"."""
+        n, lowest, highest = self.planned_samples(), float(self.means_n.min()), float(self.means_n.max())
+        share = ramp(n) if self.direction == "both" else np.linspace(0.0, 1.0, n)
+        if self.course == "sine":
+            share = 0.5 * (1.0 - np.cos(np.pi * share))
+        return lowest + (highest - lowest) * (share if self.direction != "out" else 1.0 - share)
 
     def _noise(self) -> Noise:
         """Return the specification of the noise about the means.
