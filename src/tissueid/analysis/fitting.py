@@ -10,8 +10,7 @@ from typing import Any, Unpack
 
 from numba.core.event import install_timer
 
-from tissueid.analysis.actuator import NOMINAL_RELATIVE_STD, Actuator, Coil
-from tissueid.analysis.split import Selection, Split, split
+from tissueid.analysis.split import NOMINAL_RELATIVE_STD, Actuator, Selection, Split, split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model, refused_if_not_computed
 from tissueid.identification.depth_profile import DepthProfile

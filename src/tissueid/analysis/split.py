@@ -2,25 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypedDict
 
 import numpy as np
 
-from tissueid.analysis.actuator import Actuator, Coil
 from tissueid.configuration import has_depth, spring_of
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_levels import localized_levels
+from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.preparation import band_filtered, detrended
 from tissueid.identification.validation.scores import above_noise
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
-from tissueid.records import Record, joined
+from tissueid.records import Estimate, Record, joined
 from tissueid.sessions import Session, Test
 from tissueid.test_settings import placement
+
+NOMINAL_RELATIVE_STD = 0.08
+"""Relative standard deviation of nominal mass and damping: even distributions over 60 to 80 g and 3 to 4 N s/m, the
+ranges of Chen 2010, Table 2.1."""
+
+TISSUE_NAMES = {
+    "mass_kg": "tissue_mass_kg",
+    "damping_n_s_per_m": "tissue_damping_n_s_per_m",
+    "damping_in_n_s_per_m": "tissue_damping_in_n_s_per_m",
+    "damping_out_n_s_per_m": "tissue_damping_out_n_s_per_m",
+}
+"""Parameters of coil and tissue together, and the names of their remainders. The actuator has no stiffness."""
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """Moving mass, kg, and bearing damping, N s/m; ``calibrated`` if both are from a calibration sweep."""
+
+    mass: Estimate
+    damping: Estimate
+    calibrated: bool
+
+    @classmethod
+    def of(cls, device: DeviceDescription) -> Actuator:
+        """Return the actuator of a device, with the deviations of its sweep or of a nominal description."""
+
+        def value(name: str, number: float) -> Estimate:
+            std = device.calibration.get(f"{name}_std")
+            if isinstance(std, float) and math.isfinite(std):
+                return Estimate(number, std)
+            return Estimate(number, NOMINAL_RELATIVE_STD * abs(number))
+
+        calibrated = all(
+            f"{name}_std" in device.calibration for name in ("moving_mass_kg", "bearing_damping_n_s_per_m")
+        )
+        return cls(
+            value("moving_mass_kg", device.moving_mass_kg),
+            value("bearing_damping_n_s_per_m", device.bearing_damping_n_s_per_m),
+            calibrated,
+        )
+
+    def remainders(self, parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
+        """Return mass and damping of the tissue alone by their names in ``TISSUE_NAMES``.
+
+        The deviation combines those of the fit and of the actuator, which are independent; None without that of the
+        fit.
+        """
+        found = {}
+        for name, new in TISSUE_NAMES.items():
+            if name in parameters:
+                total, own = parameters[name], self.mass if name == "mass_kg" else self.damping
+                std = None if total.std is None else math.hypot(total.std, own.std or 0.0)
+                found[new] = Estimate(total.value - own.value, std)
+        return found
+
+    def without(self, profile: DepthProfile) -> DepthProfile:
+        """Return a depth profile with mass and damping of the tissue alone."""
+        return replace(
+            profile,
+            mass=profile.mass - self.mass.value,
+            mass_std=np.hypot(profile.mass_std, self.mass.std or 0.0),
+            damping=profile.damping - self.damping.value,
+            damping_std=np.hypot(profile.damping_std, self.damping.std or 0.0),
+        )
+
 
 QUARTERS = 4
 _STRETCHES = 16

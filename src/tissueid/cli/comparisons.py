@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from tissueid.analysis import ComparisonEntry, EngineComparison, SweepRow
-from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
+from tissueid.analysis.comparison import described_levels, distortion_of, is_multisine
 from tissueid.analysis.overlay import Overlay, OverlayEntry, quantity_label, repeated_values
 from tissueid.cli.output import Output, table
 from tissueid.cli.saved_tests import repeat_warnings

@@ -9,8 +9,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from tissueid.analysis import ComparisonEntry, EngineComparison
+from tissueid.analysis.comparison import described_levels, distortion_of, is_multisine
 from tissueid.analysis.curves.comparison_plots import distortion_plot, memory_plots, response_plots, score_plots
-from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import fixed, grouped
