@@ -96,7 +96,7 @@ def check_command_and_files(folder: Path) -> Path:
 def check_journal(folder: Path) -> None:
     """Check the header of a test in the journal."""
     from tissueid.acquisition import GuidedTest, SessionRecorder, journal_path, run_guided_test
-    from tissueid.acquisition.journal_entries import Entry, TestContent, read_entries
+    from tissueid.acquisition.journal import Entry, TestContent, read_entries
     from tissueid.acquisition.stimulus_choice import playable
     from tissueid.instrument import SimulatedInstrument
     from tissueid.procedures.test_plan import TestPlan

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from coded import coded, says, shows
 
-from tissueid.acquisition import JournalError, SessionRecorder, journal_entries, journal_path, recover
+from tissueid.acquisition import JournalError, SessionRecorder, journal_path, recover
+from tissueid.acquisition import journal as journal_module
 from tissueid.acquisition.journal import MAGIC, Damage, Entry, Journal, encode_entry, encode_json, read_entries
 from tissueid.acquisition.recovery import session_from_entries, write_journal_session
 from tissueid.audit import last_lines
@@ -157,10 +158,10 @@ def test_the_search_after_a_damage_ends(tmp_path, monkeypatch):
     """A file made so that everything in it may be an entry costs no more than its share of the time."""
     path = tmp_path / "j"
     path.write_bytes(MAGIC + encode_json(Entry.EVENT, {}) + b"\x03\xff\xff\x00\x00" * 50_000)
-    monkeypatch.setattr(journal_entries, "MAX_CHECKED", 10_000_000)
+    monkeypatch.setattr(journal_module, "MAX_CHECKED", 10_000_000)
     calls = []
-    sound = journal_entries.entry_at
-    monkeypatch.setattr(journal_entries, "entry_at", lambda *where: calls.append(1) or sound(*where))
+    sound = journal_module.entry_at
+    monkeypatch.setattr(journal_module, "entry_at", lambda *where: calls.append(1) or sound(*where))
     damage = Damage()
     assert len(list(read_entries(path, damage))) == 1
     assert len(calls) < 200

@@ -13,7 +13,8 @@ from coded import made, says
 from support import connect
 
 from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
-from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, gate, judge, judge_session, quality_of
+from tissueid.acquisition import quality as gate
+from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, judge, judge_session, quality_of
 from tissueid.acquisition.quality.prepared_test import AIR, SPRING, TISSUE
 from tissueid.device import DeviceDescription
 from tissueid.instrument.replies import released_by_faults

@@ -10,7 +10,7 @@ from support import LONG_TICK_S, connect, connect_scenario
 
 from firmware_sim.scenario import Scenario
 from tissueid.acquisition import usual_noise
-from tissueid.acquisition.rest_periods import predict_heating, rest, temperature_c
+from tissueid.acquisition.background_work import predict_heating, rest, temperature_c
 from tissueid.cli import main
 from tissueid.device import DESKTOP, HANDHELD
 from tissueid.errors import CancelledError

@@ -11,11 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.background_work import run_while_polling
-from tissueid.acquisition.playback import Phase, Progress, ignore_progress, never_stop, play
+from tissueid.acquisition.playback import (
+    Phase,
+    Progress,
+    SetPoints,
+    ignore_progress,
+    never_stop,
+    play,
+    preload_stimulus,
+    rehearse,
+    set_point_count,
+)
 from tissueid.acquisition.quality import Quality
 from tissueid.acquisition.recorder import RecordingPreparation, SessionRecorder
 from tissueid.acquisition.recovery import OpenTest
-from tissueid.acquisition.set_points import SetPoints, preload_stimulus, rehearse, set_point_count
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.surface_detection import PLACE_S, Placement, find_orientation, find_surface, place
 from tissueid.device import GRAVITY_M_S2, DeviceDescription

@@ -13,14 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.journal import RECOVER, Damage, Entry, JournalError, journal_path, lock, read_entries
-from tissueid.acquisition.journal_entries import (
+from tissueid.acquisition.journal import (
+    RECOVER,
     ClosedContent,
+    Damage,
+    Entry,
     EventContent,
+    JournalError,
     SittingContent,
     TestContent,
     TestEndContent,
     content_of,
+    journal_path,
+    lock,
+    read_entries,
 )
 from tissueid.acquisition.quality import QualityGate, quality_of
 from tissueid.atomic_write import remove_leftovers

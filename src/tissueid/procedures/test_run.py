@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.background_work import run_while_polling
+from tissueid.acquisition.background_work import predict_heating, rest, run_while_polling, temperature_c
 from tissueid.acquisition.guided import GuidedTest, Progress, check_test, place, run_guided_test
 from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.multistep import PLACING, MultistepTest, Step, check_multistep, run_multistep
 from tissueid.acquisition.playback import Phase
 from tissueid.acquisition.recorder import SessionRecorder, log_no_recording
-from tissueid.acquisition.rest_periods import predict_heating, rest, temperature_c
 from tissueid.acquisition.stimulus_choice import playable, playable_file, test_kind
 from tissueid.acquisition.surface_detection import Placement, place_in_air
 from tissueid.audit import AuditTrail

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.acquisition.journal_entries import MAGIC, Entry, encode_entry, encode_json
+from tissueid.acquisition.journal import MAGIC, Entry, encode_entry, encode_json
 from tissueid.acquisition.stimulus_choice import playable, save_stimulus
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE
