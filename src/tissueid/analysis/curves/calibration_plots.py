@@ -11,6 +11,7 @@ import numpy as np
 from tissueid.analysis.curves.plot import (
     CONFIDENCE,
     FREQUENCY,
+    KINDS,
     Array,
     Axis,
     Bars,
@@ -21,7 +22,7 @@ from tissueid.analysis.curves.plot import (
     depth_roles,
     whole_ticks,
 )
-from tissueid.analysis.curves.validation import KINDS, ROLES
+from tissueid.analysis.curves.validation import ROLES
 from tissueid.calibration.comparison import Residuals, Trend, linear_region, profile_of
 from tissueid.calibration.file import CalibratedQuantity, Calibration
 from tissueid.calibration.status import label_of, unit_of_quantity

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tissueid.analysis import EngineComparison, Scored, SweepRow
 from tissueid.analysis.curves.plot import (
     CONFIDENCE,
+    KINDS,
     LAG,
     Array,
     Axis,
@@ -22,7 +23,7 @@ from tissueid.analysis.curves.plot import (
     kernel_unit,
     signal_axis,
 )
-from tissueid.analysis.curves.validation import KINDS, ROLES, cloud_plot, held_out_prediction, running_mean
+from tissueid.analysis.curves.validation import ROLES, cloud_plot, held_out_prediction, running_mean
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
 from tissueid.identification.registry import label_of

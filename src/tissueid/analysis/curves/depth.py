@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Bars, Curve, Kind, Plot, cloud, signal_axis
+from tissueid.analysis.curves.plot import (
+    CONFIDENCE,
+    KINDS,
+    MARKERS,
+    Array,
+    Axis,
+    Bars,
+    Curve,
+    Plot,
+    banded,
+    cloud,
+    signal_axis,
+)
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.fit import CurveBand
@@ -26,9 +39,7 @@ QUANTITIES = {
 """Axis, name of the parameter, and factor from SI to the unit of the axis."""
 
 _COLOURS = ("measured", "model", "good", "check", "muted")
-_KINDS: tuple[Kind, ...] = ("line", "dashed", "dotted", "dashdot")
-_MARKERS = "osD^vP"
-_DENSE = 25
+DENSE = 25
 """Number of rows above which a profile is drawn as a curve with a band, not as points with bars."""
 _WIDEST = 1.5
 """Largest ratio of half bar to value for which a bar counts for the limits of a plot."""
@@ -53,8 +64,7 @@ def profile_curve(
     scale = QUANTITIES[quantity][2]
     x = 1e3 * (profile.position[rows] - origin_m)
     y, std = scale * getattr(profile, quantity)[rows], scale * getattr(profile, f"{quantity}_std")[rows]
-    half = deviations * np.where(np.isfinite(std), std, 0.0)
-    return Curve(x, y, colour="model", low=y - half, high=y + half)
+    return banded(x, y, deviations * std, colour="model")
 
 
 def depth_plots(analysis: Analysis) -> tuple[Plot, Plot, Plot]:
@@ -115,13 +125,10 @@ def profile_plots(
     series = _series(known)
     made = []
     for quantity, (axis, _name, _scale) in QUANTITIES.items():
-        parts: list[Curve] = []
-        ends: list[Array] = []
-        for place, one in enumerate(series):
-            curve = _series_curve(one, quantity, origin)
-            parts += _styled(curve, one, place, origin)
-            ends.append(range_of(curve))
-        made.append(Plot(axis.label, x, replace(axis, limits=limits_of(np.concatenate(ends))), tuple(parts)))
+        curves = [_series_curve(one, quantity, origin) for one in series]
+        styled = (_styled(*item, place, origin) for place, item in enumerate(zip(curves, series, strict=True)))
+        limits = limits_of(np.concatenate([range_of(curve) for curve in curves]))
+        made.append(Plot(axis.label, x, replace(axis, limits=limits), tuple(chain.from_iterable(styled))))
     counts = [_support(one, place, len(series), origin) for place, one in enumerate(series)]
     if visited is not None:
         counts = [sample_counts(visited, origin, _BINS)]
@@ -178,8 +185,8 @@ def _band_curve(band: CurveBand, depth_mm: Array, scale: float, place: int, name
     """Return a parameter curve; its band closes on it where the band is unknown."""
     known = np.isfinite(band.low + band.high)
     low, high = np.where(known, band.low, band.value), np.where(known, band.high, band.value)
-    colour, kind = _COLOURS[place], _KINDS[place]
-    return Curve(depth_mm, scale * band.value, name, colour, kind, scale * low, scale * high, width=1.2)
+    look = name, _COLOURS[place], KINDS[place]
+    return Curve(depth_mm, scale * band.value, *look, scale * low, scale * high, width=1.2)
 
 
 def depth_axis(surface_position_m: float) -> tuple[Axis, float]:
@@ -197,13 +204,12 @@ def sample_counts(positions: Array, origin_m: float, bins: int) -> Bars:
 
 def _series(profiles: Mapping[str, DepthProfile]) -> Sequence[_Series]:
     """Return every direction of every profile as a series."""
-    found = []
-    for name, profile in profiles.items():
-        for way in (0, 1, -1):
-            rows = np.flatnonzero(profile.direction == way)
-            if rows.size:
-                found.append((_one_direction(name, way), profile, rows))
-    return found
+    return [
+        (_one_direction(name, way), profile, np.flatnonzero(profile.direction == way))
+        for name, profile in profiles.items()
+        for way in (0, 1, -1)
+        if (profile.direction == way).any()
+    ]
 
 
 def _one_direction(name: str, way: int) -> str:
@@ -223,14 +229,14 @@ def _series_curve(series: _Series, quantity: str, origin_m: float) -> Curve:
 def _styled(curve: Curve, series: _Series, place: int, origin_m: float) -> list[Curve]:
     """Return the curves that show one series: a band, or bars with the range of depths of each row."""
     name, profile, rows = series
-    colour, kind = _COLOURS[place % len(_COLOURS)], _KINDS[place % len(_KINDS)]
-    if rows.size > _DENSE:
+    colour, kind = _COLOURS[place % len(_COLOURS)], KINDS[place % len(KINDS)]
+    if rows.size > DENSE:
         return [replace(curve, name=name, colour=colour, kind=kind, width=1.2)]
     gap = np.full(rows.size, np.nan)
     ranges = np.stack([1e3 * (profile.low[rows] - origin_m), 1e3 * (profile.high[rows] - origin_m), gap], axis=1)
     return [
         Curve(ranges.ravel(), np.repeat(curve.y, 3), colour=colour, width=0.6, opacity=0.6),
-        replace(curve, name=name, colour=colour, kind="bars", marker=_MARKERS[place % len(_MARKERS)]),
+        replace(curve, name=name, colour=colour, kind="bars", marker=MARKERS[place % len(MARKERS)]),
         Curve(curve.x, curve.y, colour=colour, kind=kind, width=0.6, opacity=0.6),
     ]
 

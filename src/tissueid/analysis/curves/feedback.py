@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from tissueid.analysis.curves.plot import (
+    KINDS,
     LAG,
     TIME,
     Array,
@@ -24,7 +25,7 @@ from tissueid.analysis.curves.plot import (
     signal_axis,
 )
 from tissueid.analysis.curves.signals import COLOURS, density_axis
-from tissueid.analysis.curves.validation import KINDS, ROLES, cloud_plot
+from tissueid.analysis.curves.validation import ROLES, cloud_plot
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.engines.als import AlsModel

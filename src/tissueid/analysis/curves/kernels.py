@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from tissueid.analysis.curves.overlay_plots import named, style_of
 from tissueid.analysis.curves.plot import (
     CONFIDENCE,
     FREQUENCY,
+    KINDS,
     LAG,
     TIME,
     Array,
@@ -24,7 +26,7 @@ from tissueid.analysis.curves.plot import (
     signal_axis,
 )
 from tissueid.analysis.curves.signals import POWER_DENSITY, density_curve
-from tissueid.analysis.curves.validation import KINDS, ROLES, Prediction, cloud_plot, prediction_plots
+from tissueid.analysis.curves.validation import ROLES, Prediction, cloud_plot, prediction_plots
 from tissueid.analysis.overlay import Overlay, OverlayEntry
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed
@@ -39,6 +41,7 @@ from tissueid.units import display_unit
 _MOST_FREQUENCIES = 400
 _FINER = 4
 """Zero-padding factor of the spectrum of a kernel."""
+_FIRST_LAG, _SECOND_LAG = Axis(marked("First lag"), "ms"), Axis(marked("Second lag"), "ms")
 _LEFT = 0.02
 """Frequencies with less than this share of the maximum magnitude are not shown."""
 
@@ -59,7 +62,7 @@ def second_order_kernel(model: VolterraModel, record: Record) -> Plot:
     unit, scale = kernel_unit(record, 2)
     title, lag_ms = marked("Second-order kernel"), 1e3 * model.lag_s
     surface = Surface(lag_ms, lag_ms, scale * kernel, title, unit)
-    return Plot(title, Axis(marked("First lag"), "ms"), Axis(marked("Second lag"), "ms"), (surface,))
+    return Plot(title, _FIRST_LAG, _SECOND_LAG, (surface,))
 
 
 def kernels_by_depth(model: PartitionedModel, record: Record) -> Plot:
@@ -81,8 +84,7 @@ def magnitude_by_depth(model: PartitionedModel, record: Record) -> Plot:
     Raises:
         UnusableInputError: there are fewer than two partitions or three lags.
     """
-    kernels = kernels_by_depth(model, record).surface
-    assert kernels is not None
+    kernels = cast(Surface, kernels_by_depth(model, record).surface)
     spacing_s = float(model.lag_s[1] - model.lag_s[0])  # lags may be several samples apart
     count = _FINER * model.lag_s.size
     magnitude = spacing_s * np.abs(np.fft.rfft(kernels.values, count, axis=1))
@@ -138,12 +140,11 @@ def third_order_slices(model: VolterraModel, record: Record) -> list[Plot]:
     strength = np.cumsum(np.abs(kernel).sum(axis=(0, 1)))
     shown = np.unique(np.searchsorted(strength, _SLICES_AT * strength[-1]))
     top = scale * float(np.abs(kernel[:, :, shown]).max())
-    first, second = Axis(marked("First lag"), "ms"), Axis(marked("Second lag"), "ms")
     return [
         Plot(
             Message("plot.third_lag", "third lag {lag} ms", lag=fixed(float(lag_ms[lag]), 1)),
-            first,
-            second,
+            _FIRST_LAG,
+            _SECOND_LAG,
             (Surface(lag_ms, lag_ms, scale * kernel[:, :, lag], unit=unit if lag == shown[-1] else "", limit=top),),
             square=True,
         )
@@ -157,8 +158,7 @@ def kernel_and_spectrum(label: str, model: VolterraModel, record: Record) -> tup
     Raises:
         UnusableInputError: the model has no second-order kernel, or fewer than three lags.
     """
-    surface = second_order_kernel(model, record).surface
-    assert surface is not None
+    surface = cast(Surface, second_order_kernel(model, record).surface)
     magnitude = np.abs(np.fft.fftshift(np.fft.fft2(surface.values)))
     spacing_s = model.lag_spacing / model.sample_rate_hz
     frequency_hz = np.asarray(np.fft.fftshift(np.fft.fftfreq(model.lag_s.size, spacing_s)), np.float64)
@@ -322,8 +322,6 @@ def _coloured(lag_ms: Array, rows: Array, std: Array) -> list[Curve]:
     return curves
 
 
-_NO_VOLTERRA = Message("overlay.no_volterra", "no fit has Volterra kernels")
-_NO_PARTITIONS = Message("overlay.no_partitions", "no fit has kernels by depth")
 _STRETCH_S = 0.5
 """Seconds of the output that are drawn."""
 _NOISE = 5.0
@@ -341,11 +339,9 @@ def first_kernels(found: Overlay) -> tuple[Plot, Plot]:
     """
     first, diagonal = [], []
     entries = _volterra(found)
-    record = entries[0].analysis.record
+    record = entries[0][0].analysis.record
     (unit, scale), (unit2, scale2) = kernel_unit(record), kernel_unit(record, 2)
-    for entry in entries:
-        model = entry.analysis.model
-        assert isinstance(model, VolterraModel)
+    for entry, model in entries:
         style = named(found.label(entry)), *style_of(found, entry)
         if model.kernel1 is not None:
             first.append(Curve(1e3 * model.lag_s, scale * model.kernel1, *style))
@@ -380,25 +376,21 @@ def second_kernels(found: Overlay) -> list[Plot]:
     Raises:
         UnusableInputError: no fit has a second-order kernel.
     """
-    entries = [entry for entry in _volterra(found) if getattr(entry.analysis.model, "kernel2", None) is not None]
-    surfaces: list[tuple[OverlayEntry, Surface]] = []
-    for entry in entries:
-        model = entry.analysis.model
-        assert isinstance(model, VolterraModel)
-        surface = second_order_kernel(model, entry.analysis.record).surface
-        assert surface is not None
-        surfaces.append((entry, replace(surface, name="")))
+    surfaces = [
+        (entry, replace(cast(Surface, second_order_kernel(model, entry.analysis.record).surface), name=""))
+        for entry, model in _volterra(found)
+        if model.kernel2 is not None
+    ]
     if not surfaces:
         raise UnusableInputError("overlay.no_second_kernel", "no fit has a second-order kernel")
     tops: dict[str, float] = {}
     for entry, surface in surfaces:
         tops[entry.fit.label] = max(tops.get(entry.fit.label, 0.0), float(np.abs(surface.values).max()))
-    first, second = Axis(marked("First lag"), "ms"), Axis(marked("Second lag"), "ms")
     return [
         Plot(
             _with_vaf(found.label(entry), entry.analysis.model.report.vaf_percent),
-            first,
-            second,
+            _FIRST_LAG,
+            _SECOND_LAG,
             (replace(surface, limit=tops[entry.fit.label]),),
             square=True,
         )
@@ -419,7 +411,7 @@ def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
         analysis, model = entry.analysis, entry.analysis.model
         if not isinstance(model, PartitionedModel) or model.partitions.depths < 2:
             continue
-        run = _scheduled_run(entry)
+        run = _scheduled_run(model, analysis.record, analysis.fit_part)
         output = prediction_plots([run], _STRETCH_S)[0]
         title = _with_vaf(found.label(entry), entry.shown_percent)
         cloud = cloud_plot(run.predicted, run.measured, run.output_unit, colour=style_of(found, entry)[0])
@@ -429,21 +421,17 @@ def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
         image = replace(image, title="", y=depth)
         made.append((replace(output, title=title, y=replace(output.y, limits=depth.limits)), cloud, image))
     if not made:
-        raise UnusableInputError(_NO_PARTITIONS)
+        raise UnusableInputError("overlay.no_partitions", "no fit has kernels by depth")
     return made
 
 
-def _scheduled_run(entry: OverlayEntry) -> Prediction:
-    analysis = entry.analysis
-    model, record, part = analysis.model, analysis.record, analysis.fit_part
-    modelled = model.simulate_scheduled(record)
-    run: Array = model.simulate(record.input) if modelled is None else modelled
+def _scheduled_run(model: PartitionedModel, record: Record, part: slice) -> Prediction:
     return Prediction(
         label=marked("modelled"),
         time_s=record.time[part],
         input=record.input[part],
         measured=record.output[part],
-        predicted=run[part],
+        predicted=model.simulate_scheduled(record)[part],
         sample_rate_hz=record.sample_rate_hz,
         output_name=record.output_name,
         output_unit=record.output_unit,
@@ -455,15 +443,15 @@ def _with_vaf(label: str, percent: float) -> str:
     return Message("overlay.with_vaf", "{name}, VAF {percent:.1f} %", name=named(label), percent=percent)
 
 
-def _volterra(found: Overlay) -> list[OverlayEntry]:
-    """Return the entries with Volterra kernels.
+def _volterra(found: Overlay) -> list[tuple[OverlayEntry, VolterraModel]]:
+    """Return the entries with Volterra kernels, and their models.
 
     Raises:
         UnusableInputError: there is none.
     """
-    entries = [entry for entry in found.entries if isinstance(entry.analysis.model, VolterraModel)]
+    entries = [(one, one.analysis.model) for one in found.entries if isinstance(one.analysis.model, VolterraModel)]
     if not entries:
-        raise UnusableInputError(_NO_VOLTERRA)
+        raise UnusableInputError("overlay.no_volterra", "no fit has Volterra kernels")
     return entries
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from tissueid.analysis.curves.plot import (
     Curve,
     Kind,
     Plot,
+    banded,
     depth_roles,
     kernel_unit,
     ratio_unit,
@@ -60,20 +62,17 @@ def impulse_response(model: LmsModel, record: Record) -> Plot:
         kind="points",
         band=marked("± 1 standard deviation"),
     )
-    unit, title = kernel_unit(record)[0], marked("Impulse response")
     fit = second_order_curve(model.second_order, float(model.lag_s[-1]), record)
-    lag = replace(LAG, limits=(0.0, 1e3 * float(model.lag_s[-1]) or 1.0))
-    return Plot(title, lag, Axis(title, unit, zero=True), (estimate, fit))
+    return _response_plot(marked("Impulse response"), model.lag_s, (estimate, fit), record)
 
 
 def online_response(model: OnlineModel, record: Record) -> Plot:
     """Return the impulse response used in simulation, its 95 % band where known, and the second-order fit."""
     std = model.impulse_response_std if isinstance(model, RlsModel) else None
-    title, band = marked("Impulse response"), CONFIDENCE * std if std is not None else None
+    band = CONFIDENCE * std if std is not None else None
     points = _banded(model.lag_s, model.impulse_response, band, record, marked("each lag by itself"), "points")
-    return _response_plot(
-        title, model.lag_s, (points, second_order_curve(model.second_order, float(model.lag_s[-1]), record)), record
-    )
+    fit = second_order_curve(model.second_order, float(model.lag_s[-1]), record)
+    return _response_plot(marked("Impulse response"), model.lag_s, (points, fit), record)
 
 
 def first_kernel_plot(model: VolterraModel, record: Record) -> Plot:
@@ -92,9 +91,8 @@ def first_kernel_plot(model: VolterraModel, record: Record) -> Plot:
 def _banded(lag_s: Array, response: Array, half: Array | None, record: Record, name: str, kind: Kind) -> Curve:
     """Return a response (lags,), in SI units, with a band of half a width ``half``."""
     scale = kernel_unit(record)[1]
-    y, reach = scale * response, None if half is None else scale * np.where(np.isfinite(half), half, 0.0)
-    low, high = (None, None) if reach is None else (y - reach, y + reach)
-    return Curve(1e3 * lag_s, y, name, "measured", kind, low, high, marked("95 % band"))
+    reach = None if half is None else scale * half
+    return banded(1e3 * lag_s, scale * response, reach, name, "measured", kind, band=marked("95 % band"))
 
 
 def _response_plot(title: str, lag_s: Array, parts: tuple[Curve, ...], record: Record) -> Plot:
@@ -128,11 +126,7 @@ def impulse_curve(model: Model, record: Record, analysis: Analysis | None = None
         else:
             lag_s, response = _probed(model, record if analysis is None else record[analysis.fit_part])
     scale = kernel_unit(record)[1]
-    y = scale * response
-    if std is None:
-        return Curve(1e3 * lag_s, y, colour="model")
-    half = np.where(np.isfinite(std), scale * std, 0.0)
-    return Curve(1e3 * lag_s, y, colour="model", low=y - half, high=y + half)
+    return banded(1e3 * lag_s, scale * response, None if std is None else scale * std, colour="model")
 
 
 def second_order_curve(fit: SecondOrderFit, seconds: float, record: Record) -> Curve:
@@ -205,7 +199,8 @@ def frequency_response(model: SpectralModel, record: Record) -> tuple[Plot, Plot
     fine_hz = np.geomspace(magnitude.x[0], magnitude.x[-1], _FINE_FIT)
     fitted = ratio_unit(record)[1] * model.second_order.sign * model.second_order.system.frequency_response(fine_hz)
     angle = np.degrees(np.unwrap(np.angle(fitted)))
-    phase = _raised(phase, 360.0 * float(np.round((np.median(angle) - np.median(phase.y)) / 360.0)))
+    by = 360.0 * float(np.round((np.median(angle) - np.median(phase.y)) / 360.0))
+    phase = replace(phase, y=phase.y + by, low=cast(Array, phase.low) + by, high=cast(Array, phase.high) + by)
     upper, lower = (
         Plot(
             axis.label,
@@ -243,13 +238,6 @@ def response_curves(analysis: Analysis, spectra: Spectra) -> tuple[Curve, Curve]
     phase = np.degrees(np.unwrap(np.angle(answer)))
     magnitude = np.maximum(np.abs(answer), 1e-12)
     return Curve(frequency_hz, magnitude, colour="model"), Curve(frequency_hz, phase, colour="model")
-
-
-def _raised(curve: Curve, by: float) -> Curve:
-    """Return a curve with a band that is higher by a number."""
-    assert curve.low is not None
-    assert curve.high is not None
-    return replace(curve, y=curve.y + by, low=curve.low + by, high=curve.high + by)
 
 
 def coherence_curve(spectra: Spectra, shown: NDArray[np.bool_] | slice) -> Curve:

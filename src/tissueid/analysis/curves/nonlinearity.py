@@ -10,17 +10,19 @@ import numpy as np
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.plot import (
     CONFIDENCE,
+    KINDS,
     LAG,
     Array,
     Axis,
     Curve,
     Plot,
+    banded,
     is_mechanical,
     kernel_unit,
     signal_axis,
     whole_ticks,
 )
-from tissueid.analysis.curves.validation import KINDS, ROLES
+from tissueid.analysis.curves.validation import ROLES
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
 from tissueid.identification.cascades.blocks import curve_slopes
@@ -206,9 +208,10 @@ def hammerstein_blocks(model: HammersteinModel, record: Record, fit_part: slice)
     scale = display_unit(record.output_unit)[1]
     u = central_span(record.input[fit_part])
     y, std = scale * model.nonlinearity(u), curve_std(model.nonlinearity, u, model.nonlinearity_covariance)
+    axis, in_scale = _input(record)
     inner = signal_axis(_INNER, record.output_unit)
     return (
-        _static(_input_axis(record), inner, _input_scale(record) * u, y, None if std is None else scale * std),
+        _static(axis, inner, in_scale * u, y, None if std is None else scale * std),
         _dynamic(model.kernel, model.kernel_std, model.lag_s, model.sample_rate_hz),
     )
 
@@ -221,7 +224,7 @@ def wiener_blocks(model: WienerModel, record: Record, fit_part: slice) -> tuple[
     inner = signal_axis(_INNER, record.input_unit)
     return (
         _dynamic(model.kernel, None, lag_s, model.sample_rate_hz),
-        _static(inner, _output_axis(record), _input_scale(record) * z, y),
+        _static(inner, signal_axis(record.output_name, record.output_unit), _input(record)[1] * z, y),
     )
 
 
@@ -235,13 +238,14 @@ def cascade_blocks(model: CascadeModel, record: Record, fit_part: slice) -> tupl
         u, last = central_span(record.input[fit_part]), model.outer is None
         inner = signal_axis(_INNER, record.output_unit if last else "")
         y = model.inner(u) * (out_scale if last else 1.0)
-        blocks.append(_static(_input_axis(record), inner, _input_scale(record) * u, y))
+        axis, in_scale = _input(record)
+        blocks.append(_static(axis, inner, in_scale * u, y))
         driven = model.inner(record.input)
     blocks.append(_dynamic(scale * model.first_kernel, scale * model.first_kernel_std, model.lag_s, rate, unit))
     if model.outer is not None:
         z = central_span(convolve_at_rest(model.first_kernel, driven)[fit_part])
         last = model.second_kernel is None
-        drain = _output_axis(record) if last else signal_axis(_INNER, record.output_unit)
+        drain = signal_axis(record.output_name if last else _INNER, record.output_unit)
         y = out_scale * (model.outer(z) + (model.offset if last else 0.0))
         blocks.append(_static(signal_axis(_INNER, ""), drain, z, y))
     if model.second_kernel is not None:
@@ -291,29 +295,16 @@ def _passes(
 
 
 def _static(x: Axis, y: Axis, across: Array, values: Array, std: Array | None = None) -> Plot:
-    low, high = (None, None) if std is None else _band(values, std)
-    return Plot(marked("static"), x, y, (Curve(across, values, "", "model", low=low, high=high, width=1.4),))
+    half = None if std is None else CONFIDENCE * std
+    return Plot(marked("static"), x, y, (banded(across, values, half, "", "model", width=1.4),))
 
 
 def _dynamic(kernel: Array, std: Array | None, lag_s: Array, rate: float, unit: str = "1/s") -> Plot:
     """Return a linear block with its impulse response per second, from a kernel (lags,) per sample."""
-    low, high = (None, None) if std is None else _band(rate * kernel, rate * std)
-    curve = Curve(1e3 * lag_s, rate * kernel, "", "measured", low=low, high=high, width=1.4)
+    curve = banded(1e3 * lag_s, rate * kernel, None if std is None else CONFIDENCE * (rate * std), width=1.4)
     return Plot(marked("linear"), LAG, Axis(marked("Impulse response"), unit, zero=True), (curve,))
 
 
-def _band(values: Array, std: Array) -> tuple[Array, Array]:
-    half = CONFIDENCE * np.where(np.isfinite(std), std, 0.0)
-    return values - half, values + half
-
-
-def _input_axis(record: Record) -> Axis:
-    return signal_axis(record.input_name, record.input_unit)
-
-
-def _output_axis(record: Record) -> Axis:
-    return signal_axis(record.output_name, record.output_unit)
-
-
-def _input_scale(record: Record) -> float:
-    return display_unit(record.input_unit)[1]
+def _input(record: Record) -> tuple[Axis, float]:
+    """Return the axis of the input, and the factor to its unit."""
+    return signal_axis(record.input_name, record.input_unit), display_unit(record.input_unit)[1]

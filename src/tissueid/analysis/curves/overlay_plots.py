@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
-from tissueid.analysis.curves.depth import QUANTITIES, limits_of, profile_curve, range_of
+from tissueid.analysis.curves.depth import DENSE, QUANTITIES, limits_of, profile_curve, range_of
 from tissueid.analysis.curves.linear import excited, impulse_curve, response_axes, response_curves, spectra_of
 from tissueid.analysis.curves.nonlinearity import linear_output
 from tissueid.analysis.curves.plot import (
     CONFIDENCE,
     DEPTHS,
     FREQUENCY,
+    KINDS,
     LAG,
+    MARKERS,
     Array,
     Axis,
     Curve,
     Kind,
     Plot,
+    banded,
     cloud,
     depth_roles,
     kernel_unit,
@@ -37,16 +41,11 @@ from tissueid.units import display_unit
 
 COLOURS = ("measured", "model", "good", "check", "poor", "text")
 """Colours of sources, in their order."""
-MARKERS = "osD^vP"
-"""Markers of fits, in their order."""
-KINDS: tuple[Kind, ...] = ("line", "dashed", "dotted", "dashdot")
-"""Line styles of fits, in their order."""
 _POINTS = 300
 _LOOPS_S = 0.5
 """Seconds whose samples are joined by a line."""
 _MOST_LINE = 1500
 """Largest number of samples of that line: longer lines are drawn as ranges, which hides loops."""
-_NO_NONLINEARITY = Message("overlay.no_nonlinearity", "no fit is a Wiener cascade, which has a static nonlinearity")
 
 
 def colour_of(found: Overlay, source: str, fit: str) -> str:
@@ -134,7 +133,9 @@ def nonlinearity_overlay(found: Overlay) -> tuple[Plot, ...]:
         if isinstance(entry.analysis.model, WienerModel):
             panels.setdefault(entry.source, []).append(entry)
     if not panels:
-        raise UnusableInputError(_NO_NONLINEARITY)
+        raise UnusableInputError(
+            "overlay.no_nonlinearity", "no fit is a Wiener cascade, which has a static nonlinearity"
+        )
     record = found.entries[0].analysis.record
     (in_unit, into), out = display_unit(record.input_unit), display_unit(record.output_unit)[1]
     made: list[tuple[str, list[Curve]]] = []
@@ -142,31 +143,24 @@ def nonlinearity_overlay(found: Overlay) -> tuple[Plot, ...]:
         clouds, lines, curves = list[Curve](), list[Curve](), list[Curve]()
         colours = depth_roles(len(entries)) if len(entries) > 1 else [colour_of(found, source, entries[0].fit.label)]
         for entry, colour in zip(entries, colours, strict=True):
-            z, y = _static_points(entry)
+            z, y, model = _static_points(entry)
             clouds.append(cloud(into * z, out * y, colour))
             stretch = slice(0, min(_MOST_LINE, round(_LOOPS_S * entry.analysis.record.sample_rate_hz)))
             lines.append(Curve(into * z[stretch], out * y[stretch], "", colour, width=0.5))
             fine = np.linspace(*_span(z), 100)
-            model = entry.analysis.model
-            assert isinstance(model, WienerModel)
             curves.append(Curve(into * fine, out * model.nonlinearity(fine), "", "text", "dashed", width=1.2))
         made.append((named(source), [*clouds, *lines, *curves]))
     x = Axis(signal_axis("predicted_linear_output", record.input_unit).label, in_unit)
     y_axis = signal_axis(f"measured_{record.output_name}", record.output_unit)
     ends = [(_ends(parts, "x"), _ends(parts, "y")) for _name, parts in made]
-    if _overlapping([one[1] for one in ends]):
-        ends = [(_ends([c for _n, parts in made for c in parts], "x"), _ends([c for _n, p in made for c in p], "y"))]
-        ends *= len(made)
+    middles = [0.5 * (low + high) for _across, (low, high) in ends]
+    if all(low < middle < high for _across, (low, high) in ends for middle in middles):
+        every = [curve for _name, parts in made for curve in parts]
+        ends = [(_ends(every, "x"), _ends(every, "y"))] * len(made)
     return tuple(
         Plot(name, replace(x, limits=across), replace(y_axis, limits=along), tuple(parts))
         for (name, parts), (across, along) in zip(made, ends, strict=True)
     )
-
-
-def _overlapping(ranges: Sequence[tuple[float, float]]) -> bool:
-    """Return whether the middle of every range lies in every other."""
-    middles = [0.5 * (low + high) for low, high in ranges]
-    return all(low < middle < high for low, high in ranges for middle in middles)
 
 
 def loop_width(entry: OverlayEntry, bins: int = 20) -> float:
@@ -175,7 +169,7 @@ def loop_width(entry: OverlayEntry, bins: int = 20) -> float:
     The root mean square over bins of the linear output of the difference of the two means: zero for a linear system and
     for a Wiener cascade, positive where the dynamics depend on the output (Chen 2010, 3.4).
     """
-    z, y = _static_points(entry)
+    z, y, _model = _static_points(entry)
     edges = np.quantile(z, np.linspace(0.05, 0.95, bins + 1))
     place, inwards = np.digitize(z, edges), np.gradient(z) > 0.0
     differences = []
@@ -186,11 +180,10 @@ def loop_width(entry: OverlayEntry, bins: int = 20) -> float:
     return float(np.sqrt(np.mean(np.square(differences)))) if differences else float("nan")
 
 
-def _static_points(entry: OverlayEntry) -> tuple[Array, Array]:
-    """Return output of the linear stage and measured output (k,) of the fitted samples."""
-    model = entry.analysis.model
-    assert isinstance(model, WienerModel)
-    return linear_output(model, entry.analysis.record, entry.analysis.fit_part)
+def _static_points(entry: OverlayEntry) -> tuple[Array, Array, WienerModel]:
+    """Return output of the linear stage and measured output (k,) of the fitted samples, and the cascade."""
+    model = cast(WienerModel, entry.analysis.model)
+    return *linear_output(model, entry.analysis.record, entry.analysis.fit_part), model
 
 
 def _span(values: Array) -> tuple[float, float]:
@@ -251,9 +244,10 @@ def sweep_overlay(found: Overlay) -> tuple[Plot, Plot]:
             rows.setdefault((entry.source, entry.fit.label), []).append(entry)
     if not rows:
         raise UnusableInputError("overlay.no_sweep", "no option was swept")
+    scale = 1e3 if found.swept == "memory" else 1.0
     upper, lower = list[Curve](), list[Curve]()
     for place, ((source, fit), entries) in enumerate(rows.items()):
-        x = np.array([_swept_value(found, entry) for entry in entries])
+        x = scale * np.array([float(entry.swept or 0.0) for entry in entries])
         fitted = np.array([entry.shown_percent for entry in entries])
         criterion = [e.analysis.model.report.aicc if e.scheduled_aicc is None else e.scheduled_aicc for e in entries]
         aicc = 1e-3 * np.array([np.nan if value is None else value for value in criterion])
@@ -274,11 +268,6 @@ def sweep_overlay(found: Overlay) -> tuple[Plot, Plot]:
     )
 
 
-def _swept_value(found: Overlay, entry: OverlayEntry) -> float:
-    value = float(entry.swept or 0.0)
-    return 1e3 * value if found.swept == "memory" else value
-
-
 def _option_label(found: Overlay) -> str:
     for entry in found.entries:
         field = type(entry.fit.engine).model_fields.get(found.swept)
@@ -287,11 +276,8 @@ def _option_label(found: Overlay) -> str:
     return named(found.swept)
 
 
-_DENSE = 25
-"""Number of rows above which a profile is drawn as a curve with a band."""
 _BAND = (0.2, 5.0)
 """Ends of a Bode diagram by depth, as multiples of the lowest and the highest natural frequency."""
-_FEW_PROFILES = Message("overlay.no_profile", "no fit gives mass, damping and stiffness of force and position")
 Columns = Mapping[str, Array]
 
 
@@ -312,10 +298,12 @@ def depth_overlay(found: Overlay, calibration: Columns | None = None) -> tuple[P
     from_surface = calibration is None and all(np.isfinite(entry.surface_position_m) for entry in found.entries)
     series = series_profiles(found, from_surface=from_surface)
     if not series:
-        raise UnusableInputError(_FEW_PROFILES)
+        raise UnusableInputError("overlay.no_profile", "no fit gives mass, damping and stiffness of force and position")
     x = Axis(marked("Depth") if from_surface else marked("Position"), "mm")
     if calibration is not None:
-        x = replace(x, limits=_near([profile.position for profile in series.values()]))
+        # The stretch of the stroke about the positions, three times as long as they are.
+        low, high = _span(1e3 * np.concatenate([profile.position for profile in series.values()]))
+        x = replace(x, limits=(max(0.0, low - (high - low) - 1.0), high + (high - low) + 1.0))
     made = []
     for quantity, (axis, _column, _scale) in QUANTITIES.items():
         parts: list[Curve] = []
@@ -336,34 +324,22 @@ def depth_overlay(found: Overlay, calibration: Columns | None = None) -> tuple[P
     return made[0], made[1], made[2]
 
 
-def _near(positions: Sequence[Array]) -> tuple[float, float]:
-    """Return limits, mm, of the stretch of the stroke about positions (k,), m: three times as long as they are."""
-    every = 1e3 * np.concatenate(positions)
-    low, high = float(every.min()), float(every.max())
-    return max(0.0, low - (high - low) - 1.0), high + (high - low) + 1.0
-
-
 def calibration_curves(calibration: Columns) -> dict[str, Curve]:
     """Return mass, damping and stiffness of a dynamic sweep along the stroke, by the names of ``QUANTITIES``."""
-    return {
-        quantity: _calibration_curve(calibration, column, scale)
-        for quantity, (_axis, column, scale) in QUANTITIES.items()
-        if column in calibration
-    }
-
-
-def _calibration_curve(calibration: Columns, column: str, scale: float) -> Curve:
-    """Return a parameter of the dynamic sweep along the stroke, with its 95 % band where it is known."""
-    x, y = 1e3 * calibration["position_m"], scale * calibration[column]
-    std = calibration.get(column.replace("_kg", "_std_kg").replace("_n_", "_std_n_"))
-    low, high = (None, None) if std is None else (y - CONFIDENCE * scale * std, y + CONFIDENCE * scale * std)
-    return Curve(x, y, marked("calibration spring"), "muted", "line", low, high, width=1.5)
+    curves = {}
+    for quantity, (_axis, column, scale) in QUANTITIES.items():
+        if column in calibration:
+            std = calibration.get(column.replace("_kg", "_std_kg").replace("_n_", "_std_n_"))
+            half = None if std is None else CONFIDENCE * scale * std
+            x, y = 1e3 * calibration["position_m"], scale * calibration[column]
+            curves[quantity] = banded(x, y, half, marked("calibration spring"), "muted", width=1.5)
+    return curves
 
 
 def _styled(found: Overlay, curve: Curve, source: str, fit: str, name: str, way: int) -> list[Curve]:
     place = found.fits.index(fit)
     colour, kind = colour_of(found, source, fit), kind_of(found, fit)
-    if curve.x.size > _DENSE:
+    if curve.x.size > DENSE:
         return [replace(curve, name=name, colour=colour, kind=kind, width=1.2)]
     marker = MARKERS[place % len(MARKERS)]
     line = Curve(curve.x, curve.y, "", colour, "dotted" if way < 0 else kind, width=0.6, opacity=0.7)
@@ -439,7 +415,7 @@ def _by_depth(found: Overlay) -> dict[tuple[str, str], DepthProfile]:
     for key, profile in series_profiles(found).items():
         values = np.stack([profile.mass, profile.damping, profile.stiffness])
         known = np.isfinite(values).all(axis=0) & (values[[0, 2]] > 0.0).all(axis=0)
-        if int(known.sum()) >= 2 and len(profile) <= _DENSE:
+        if int(known.sum()) >= 2 and len(profile) <= DENSE:
             made[key] = replace(
                 profile, **{name: getattr(profile, name)[known] for name in DepthProfile.__dataclass_fields__}
             )
@@ -457,8 +433,8 @@ def _systems(profile: DepthProfile) -> list[SecondOrder]:
 
 def _depths(series: Mapping[tuple[str, str], DepthProfile]) -> Axis:
     """Return the axis of the colours that all series share."""
-    positions = 1e3 * np.concatenate([profile.position for profile in series.values()])
-    return Axis(marked("Position"), "mm", limits=(float(positions.min()), float(positions.max())))
+    limits = _span(1e3 * np.concatenate([profile.position for profile in series.values()]))
+    return Axis(marked("Position"), "mm", limits=limits)
 
 
 def _roles(profile: DepthProfile, depths: Axis) -> list[str]:

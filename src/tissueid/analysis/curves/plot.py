@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ Kind = Literal[
 points. Bars are points with error bars from ``low`` to ``high``. Spans are shaded from ``x[0]`` to ``x[1]``, from
 ``x[2]`` to ``x[3]`` and so on. A filled curve is shaded down to zero."""
 
+KINDS: tuple[Kind, ...] = get_args(Kind)[:4]
+"""Line styles of several engines, tests or fits in one plot, in their order."""
+MARKERS = "osD^vP"
+"""Markers of several of them, in their order."""
 CONFIDENCE = 1.96
 """Half width, in standard deviations, of an interval that holds 95 % of a normal quantity."""
 DEPTHS = 9
@@ -84,6 +88,24 @@ class Curve:
     opacity: float = 1.0
     marker: str = ""
     across: bool = False
+
+
+def banded(
+    x: Array,
+    y: Array,
+    half: Array | None,
+    name: str = "",
+    colour: str = "measured",
+    kind: Kind = "line",
+    **look: Any,
+) -> Curve:
+    """Return a curve with a band of half a width ``half`` (n,) about it; it is closed where that is unknown (NaN).
+
+    Without a band where ``half`` is None; ``look`` are further fields of the curve.
+    """
+    reach = None if half is None else np.where(np.isfinite(half), half, 0.0)
+    low, high = (None, None) if reach is None else (y - reach, y + reach)
+    return Curve(x, y, name, colour, kind, low, high, **look)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,10 +34,8 @@ from tissueid.analysis.curves.plot import (
     LAG,
     TIME,
     Axis,
-    Bars,
     Curve,
     Plot,
-    Surface,
     kernel_unit,
     plot_or_reason,
     ratio_unit,
@@ -61,6 +59,8 @@ from tissueid.units import display_unit
 Analyses = Mapping[str, Analysis]
 M = TypeVar("M", bound=Model)
 _NO_RESPONSE = Message("report.no_transfer_function", "no transfer function could be estimated")
+_NO_IMPULSE = Message("report.no_impulse_response", "no impulse response could be estimated")
+_NO_NONLINEARITY = Message("report.no_nonlinearity", "no static nonlinearity could be estimated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,12 @@ def record_plots(test: Test, analyses: Analyses) -> RecordPlots:
     return RecordPlots(
         plot_or_reason(voltage, TIME, Axis(), lambda: _voltage(test)),
         plot_or_reason(spectra, FREQUENCY, Axis(), lambda: replace(recording_spectra(test), title=spectra)),
-        plot_or_reason(coherence, FREQUENCY, Axis(), lambda: replace(_coherence(analyses), title=coherence)),
+        plot_or_reason(
+            coherence,
+            FREQUENCY,
+            Axis(),
+            lambda: replace(coherence_plot(_first(analyses, SpectralModel, _NO_RESPONSE)[0].spectra), title=coherence),
+        ),
     )
 
 
@@ -100,25 +105,30 @@ def plots_of_test(analyses: Analyses, linear: str | None) -> ResultPlots:
         analyses: results by engine.
         linear: the linear engine that leads the report; its simulation is shown where there is no Wiener cascade.
     """
-    levels = _first(analyses, LocalizedModel)
-    if levels is not None:
-        return _localized_plots(levels[0], levels[1], analyses)
-    spectral = _first(analyses, SpectralModel)
+    for analysis in analyses.values():
+        if isinstance(analysis.model, LocalizedModel):
+            return _localized_plots(analysis.model, analysis, analyses)
+
+    def impulse() -> Plot:
+        model, analysis = _first(analyses, LmsModel, _NO_IMPULSE)
+        return impulse_response(model, analysis.record)
+
+    @cache
+    def response() -> tuple[Plot, Plot]:
+        model, analysis = _first(analyses, SpectralModel, _NO_RESPONSE)
+        return frequency_response(model, analysis.record)
+
+    def nonlinearity() -> Plot:
+        model, analysis = _first(analyses, WienerModel, _NO_NONLINEARITY)
+        plot = wiener_nonlinearity(model, analysis.record, analysis.fit_part)
+        return replace(plot, x=replace(plot.x, label=marked("Force after the linear stage")))
+
     magnitude, phase = marked("Bode magnitude"), marked("Bode phase")
-    upper, lower = Plot(magnitude, FREQUENCY, Axis()), Plot(phase, FREQUENCY, Axis())
-    try:
-        if spectral is None:
-            raise UnusableInputError(_NO_RESPONSE)
-        upper, lower = frequency_response(spectral[0], spectral[1].record)
-        upper, lower = replace(upper, title=magnitude), replace(lower, title=phase)
-    except UnusableInputError as error:
-        upper, lower = replace(upper, missing=error.message), replace(lower, missing=error.message)
-    impulse, nonlinearity = marked("Impulse response"), marked("Static nonlinearity")
     return ResultPlots(
-        plot_or_reason(impulse, LAG, Axis(), lambda: _impulse(analyses)),
-        upper,
-        lower,
-        plot_or_reason(nonlinearity, Axis(), Axis(), lambda: _nonlinearity(analyses)),
+        plot_or_reason(marked("Impulse response"), LAG, Axis(), impulse),
+        plot_or_reason(magnitude, FREQUENCY, Axis(), lambda: replace(response()[0], title=magnitude)),
+        plot_or_reason(phase, FREQUENCY, Axis(), lambda: replace(response()[1], title=phase)),
+        plot_or_reason(marked("Static nonlinearity"), Axis(), Axis(), nonlinearity),
         plot_or_reason(
             marked("Unseen motion"),
             Axis(),
@@ -149,46 +159,28 @@ def _localized_plots(model: LocalizedModel, analysis: Analysis, analyses: Analys
     )
 
 
-def _first(analyses: Analyses, kind: type[M]) -> tuple[M, Analysis] | None:
-    return next(((a.model, a) for a in analyses.values() if isinstance(a.model, kind)), None)
+def _first(analyses: Analyses, kind: type[M], missing: Message) -> tuple[M, Analysis]:
+    """Return the first model of a kind and its analysis.
+
+    Raises:
+        UnusableInputError: there is none, for the reason ``missing``.
+    """
+    for analysis in analyses.values():
+        if isinstance(analysis.model, kind):
+            return analysis.model, analysis
+    raise UnusableInputError(missing)
 
 
 def _voltage(test: Test) -> Plot:
     if not has_samples(test, "voltage"):
         raise UnusableInputError("report.no_voltage", "no voltage was recorded")
     plot = recording_plots(test)[0]
-    return replace(plot, title=marked("Voltage"), parts=tuple(_thinned(part) for part in plot.parts))
-
-
-def _thinned(part: Curve | Surface | Bars) -> Curve | Surface | Bars:
-    """Return a long line reduced to its extremes by column, so that it is drawn fast."""
-    if not isinstance(part, Curve) or part.kind != "line":
-        return part
-    x, y = thin(part.x, part.y)
-    return replace(part, x=x, y=y)
-
-
-def _coherence(analyses: Analyses) -> Plot:
-    spectral = _first(analyses, SpectralModel)
-    if spectral is None:
-        raise UnusableInputError(_NO_RESPONSE)
-    return coherence_plot(spectral[0].spectra)
-
-
-def _impulse(analyses: Analyses) -> Plot:
-    found = _first(analyses, LmsModel)
-    if found is None:
-        raise UnusableInputError("report.no_impulse_response", "no impulse response could be estimated")
-    return impulse_response(found[0], found[1].record)
-
-
-def _nonlinearity(analyses: Analyses) -> Plot:
-    found = _first(analyses, WienerModel)
-    if found is None:
-        raise UnusableInputError("report.no_nonlinearity", "no static nonlinearity could be estimated")
-    model, analysis = found
-    plot = wiener_nonlinearity(model, analysis.record, analysis.fit_part)
-    return replace(plot, x=replace(plot.x, label=marked("Force after the linear stage")))
+    # Long lines are reduced to their extremes by column, so that they are drawn fast.
+    parts = (
+        replace(curve, **dict(zip("xy", thin(curve.x, curve.y), strict=True))) if curve.kind == "line" else curve
+        for curve in plot.curves
+    )
+    return replace(plot, title=marked("Voltage"), parts=tuple(parts))
 
 
 Panel = Literal[
@@ -238,10 +230,18 @@ def result_plots(analysis: Analysis) -> tuple[dict[Panel, Plot], tuple[str, ...]
             made.update({panel: missing_plot(panel, error.message) for panel in panels})
 
     attempt(("output", "residual"), lambda: output_plots(analysis))
-    attempt(("impulse",), lambda: (_impulse_panel(analysis),))
+    impulse = Axis("", kernel_unit(analysis.record)[0])
+    attempt(
+        ("impulse",),
+        lambda: (Plot(TITLES["impulse"], LAG, impulse, (impulse_curve(analysis.model, analysis.record, analysis),)),),
+    )
     spectra = cache(lambda: spectra_of(analysis))
     attempt(("magnitude", "phase"), lambda: _response(analysis, spectra()))
-    attempt(("coherence",), lambda: (_coherence_panel(spectra()),))
+    coherence = Axis(TITLES["coherence"], limits=(0.0, 1.05))
+    attempt(
+        ("coherence",),
+        lambda: (Plot(coherence.label, FREQUENCY, coherence, (coherence_curve(spectra(), excited(spectra())),)),),
+    )
     attempt(("nonlinearity",), lambda: (nonlinearity_plot(analysis),))
     attempt(("mass", "damping", "stiffness"), lambda: depth_plots(analysis))
     findings: list[str] = []
@@ -286,21 +286,10 @@ TITLES: Mapping[Panel, str] = {
 }
 
 
-def _impulse_panel(analysis: Analysis) -> Plot:
-    curve = impulse_curve(analysis.model, analysis.record, analysis)
-    return Plot(TITLES["impulse"], LAG, Axis("", kernel_unit(analysis.record)[0]), (curve,))
-
-
 def _response(analysis: Analysis, spectra: Spectra) -> tuple[Plot, Plot]:
     curves, axes = response_curves(analysis, spectra), response_axes(analysis.record)
     upper, lower = (Plot(y.label, FREQUENCY, y, (curve,)) for curve, y in zip(curves, axes, strict=True))
     return upper, lower
-
-
-def _coherence_panel(spectra: Spectra) -> Plot:
-    title = TITLES["coherence"]
-    curve = coherence_curve(spectra, excited(spectra))
-    return Plot(title, FREQUENCY, Axis(title, limits=(0.0, 1.05)), (curve,))
 
 
 def _correlations(analysis: Analysis) -> tuple[Plot, Plot]:

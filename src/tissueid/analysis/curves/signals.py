@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tissueid.analysis.curves.plot import (
     FREQUENCY,
+    KINDS,
     LAG,
     TIME,
     Array,
@@ -22,7 +23,7 @@ from tissueid.analysis.curves.plot import (
     signal_axis,
     steps,
 )
-from tissueid.analysis.curves.validation import KINDS, power_spectrum, runs
+from tissueid.analysis.curves.validation import power_spectrum, runs
 from tissueid.configuration import has_depth
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit, superscript

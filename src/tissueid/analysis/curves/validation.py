@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,12 @@ from scipy import fft, signal
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.plot import (
     CONFIDENCE,
+    KINDS,
     LAG,
     TIME,
     Array,
     Axis,
     Curve,
-    Kind,
     Plot,
     cloud,
     signal_axis,
@@ -184,8 +183,6 @@ def _pair_means(x: Array, y: Array, lags: int) -> tuple[Array, Array]:
 
 ROLES = ("measured", "model", "good", "check")
 """Colours of several engines in one plot."""
-KINDS: tuple[Kind, ...] = get_args(Kind)[:4]
-"""Line styles of several engines in one plot."""
 _LEAST_SAMPLES = 32
 _BINS = 24
 _LEAST_FOR_MEAN = 100
@@ -424,7 +421,7 @@ def output_plots(analysis: Analysis) -> tuple[Plot, Plot]:
     scheduled = analysis.model.simulate_scheduled(record)
     if not np.isfinite(found.residual).any():
         raise UnusableInputError("research.no_held_out", "no held-out sample was both received and simulated")
-    measured = Curve(*_thin(found.time_s, scale * found.measured), marked("broad and pale: measured"), "measured")
+    measured = Curve(*thin(found.time_s, scale * found.measured, _COLUMNS), marked("broad and pale: measured"))
     outputs, residuals = [found.predicted], [found.residual]
     if scheduled is not None:
         outputs.append(scheduled[analysis.held_out])
@@ -433,7 +430,7 @@ def output_plots(analysis: Analysis) -> tuple[Plot, Plot]:
     upper, lower = (
         [
             Curve(
-                *_thin(found.time_s, scale * values),
+                *thin(found.time_s, scale * values, _COLUMNS),
                 marked("faint: scheduled by the measured output") if place else "",
                 "model",
                 opacity=0.5 if place else 1.0,
@@ -476,7 +473,3 @@ def unseen_motion(analyses: Mapping[str, Analysis], engines: tuple[str, ...]) ->
             Curve(time_s, scale * found.predicted[part], marked("predicted"), "model", width=0.8),
         ),
     )
-
-
-def _thin(time_s: Array, values: Array) -> tuple[Array, Array]:
-    return thin(time_s, values, _COLUMNS)
