@@ -201,11 +201,11 @@ def _of_text(path: Path, data: bytes) -> _Columns:
     ]
     if not lines:
         raise UnusableInputError("waveform.short", "{path} has fewer than two samples", path=str(path))
-    delimiter = _delimiter("".join(line for _number_of, line in lines[:2]))
+    delimiter = next((one for one in (";", "\t", ",") if one in "".join(line for _number_of, line in lines[:2])), " ")
     unit: Unit = "N"
     most = 2
     head = _cells(lines[0][1], delimiter)
-    if _number(head[0], delimiter) is None and not _is_missing(head[0]):
+    if _number(head[0], delimiter) is None and head[0].strip().lower() not in {"", "nan", "na", "-"}:
         names = [cell.strip().lower() for cell in head]
         if len(names) == 3 and names[0] == "time_s" and names[1] in _UNITS:
             unit, most = _UNITS[names[1]], 3  # written by tissueid stimulus --csv; the third column is the command
@@ -265,10 +265,6 @@ def _check_units(path: Path, head: list[str]) -> None:
             )
 
 
-def _delimiter(text: str) -> str:
-    return next((one for one in (";", "\t", ",") if one in text), " ")
-
-
 def _cells(line: str, delimiter: str) -> list[str]:
     return line.split() if delimiter == " " else line.split(delimiter)
 
@@ -280,10 +276,6 @@ def _number(cell: str, delimiter: str) -> float | None:
         return None if "_" in text else float(text)  # Python accepts underscores between digits, data files do not
     except ValueError:
         return None
-
-
-def _is_missing(cell: str) -> bool:
-    return cell.strip().lower() in {"", "nan", "na", "-"}
 
 
 def _rate(path: Path, columns: _Columns, given_hz: float | None) -> float | None:

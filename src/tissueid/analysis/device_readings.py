@@ -137,7 +137,12 @@ def model_readings(
     points = StepPoints(points.values, covariance, points.times_s, points.reasons, reason)
     step = step_readings(points, direction=math.copysign(1.0, course.step_n))
     if creep := _no_creep(model, course):
-        step = tuple(one if one.definition.name in _WITHOUT_CREEP else _without(one, creep) for one in step)
+        step = tuple(
+            one
+            if one.definition.name in _WITHOUT_CREEP
+            else replace(one, found=None, reason=one.reason if one.found is None else creep)
+            for one in step
+        )
     decay = system_decay(local) if local is not None else _simulated_decay(model, record, tapped)
     time: Array = (np.arange(response.size, dtype=np.float64) - course.cycles[0].rise) / course.sample_rate_hz
     return ModelReadings(step, decay, points, time, _from_rest(response, course), std, local, tuple(notes))
@@ -167,11 +172,6 @@ def _simulated(model: Model, force: Array, course: StepCourse) -> Array:
 
 _WITHOUT_CREEP = frozenset({"ue_m", "ur_m", "r5"})
 """Readings that depend on the first 0.1 s after a step only, if the creep has ended before the release."""
-
-
-def _without(reading: Reading, reason: str) -> Reading:
-    """Return a reading without its value; an earlier reason is kept."""
-    return replace(reading, found=None, reason=reading.reason if reading.found is None else reason)
 
 
 def _no_creep(model: Model, course: StepCourse) -> str:

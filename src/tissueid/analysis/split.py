@@ -238,7 +238,15 @@ def split(
         record = joined(records)
         other = record_of(session.test(validate))
         whole = slice(0, len(record)), slice(0, len(other))
-        parts = Split(record, whole[0], other, whole[1], numbers, _test(validate), validated=validate)
+        parts = Split(
+            record,
+            whole[0],
+            other,
+            whole[1],
+            numbers,
+            Message("split.test", "test {number}", number=validate),
+            validated=validate,
+        )
     else:
         parts = split_records(records, numbers)
     known = (input_name, output_name) == ("force", "position") and {"force", "position"} <= first.signals.keys()
@@ -404,7 +412,3 @@ def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1, parts: int = 
         percent=percent,
         numbers=Listing(tuple(map(str, tests)), marked(" and ")),
     )
-
-
-def _test(number: int) -> Message:
-    return Message("split.test", "test {number}", number=number)

@@ -353,7 +353,11 @@ def _too_short() -> Message:
 
 def _after_load(cycle: StepCycle, half: float, rate: float) -> tuple[float, float] | str:
     if cycle.rise_s > SHARPEST_S:
-        return _too_slow(cycle.rise_s)
+        return Message(
+            "readings.slow_rise",
+            "the force rises within {seconds:.2g} s, which is too slow to separate displacement and creep",
+            seconds=cycle.rise_s,
+        )
     middle = cycle.rise + ELASTIC_S * rate
     return middle - half, middle + half
 
@@ -370,14 +374,6 @@ def _after_release(cycle: StepCycle, half: float, rate: float) -> tuple[float, f
         )
     middle = cycle.release + ELASTIC_S * rate
     return (middle - half, middle + half) if middle + half <= cycle.end else _too_short()
-
-
-def _too_slow(seconds: float) -> Message:
-    return Message(
-        "readings.slow_rise",
-        "the force rises within {seconds:.2g} s, which is too slow to separate displacement and creep",
-        seconds=seconds,
-    )
 
 
 def _at_end(cycle: StepCycle, half: float) -> tuple[float, float] | str:

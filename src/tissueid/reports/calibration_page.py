@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import FigureBase
@@ -58,7 +59,9 @@ def sweep_panels(tables: Mapping[str, Columns], region: Region) -> Iterator[Pane
             "amplitude. Bands and bars: 95 % of the repeatability; an error in the scale of a method is not included. "
             "Dashed: ±5 % of the mean in the linear region."
         ),
-        lambda figure: _draw_force_constant(figure, tables["force_constant"], tables["sweep"], region),
+        lambda figure: draw_plots(
+            figure, force_constant_plots(tables["force_constant"], tables["sweep"], region), heights=(3.0, 2.0)
+        ),
         height=5.0,
     )
     if "response" in tables:
@@ -71,7 +74,7 @@ def sweep_panels(tables: Mapping[str, Columns], region: Region) -> Iterator[Pane
                 "compliance relative to mid-stroke. The lower the position, the further the coil is inside the "
                 "bearing (Chen 2010, Fig. 2.12b)."
             ),
-            lambda figure: _draw_bode(figure, tables["response"], tables["sweep"]),
+            lambda figure: draw_plots(figure, bode_plots(tables["response"], tables["sweep"])),
             height=6.0,
         )
     else:
@@ -82,7 +85,7 @@ def sweep_panels(tables: Mapping[str, Columns], region: Region) -> Iterator[Pane
             _("Repeatability"),
             _("Force constant and ends of the linear region of each repeat of the sweep."),
             _("Each repeat of the whole sweep, analysed separately, relative to the mean of all repeats."),
-            lambda figure: _draw_repeats(figure, tables["repeats"]),
+            lambda figure: draw_row(figure, sweep_repeat_plots(tables["repeats"])),
             height=2.7,
         )
 
@@ -96,27 +99,13 @@ def _draw_parameters(figure: FigureBase, sweep: Columns, region: Region) -> None
         axes.set_xlabel("")
 
 
-def _draw_force_constant(figure: FigureBase, profile: Columns, sweep: Columns, region: Region) -> None:
-    """Draw the force constant by each method, and below it each relative to the combined estimate."""
-    draw_plots(figure, force_constant_plots(profile, sweep, region), heights=(3.0, 2.0))
-
-
-def _draw_bode(figure: FigureBase, response: Columns, sweep: Columns) -> None:
-    """Draw compliance, compliance relative to mid-stroke, and phase by position."""
-    draw_plots(figure, bode_plots(response, sweep))
-
-
-def _draw_repeats(figure: FigureBase, columns: Columns) -> None:
-    """Draw each repeat relative to the mean."""
-    draw_row(figure, sweep_repeat_plots(columns))
-
-
 _GROUPS = (
     (marked("Voltage to current"), ("coil_resistance", "current_", "voltage_")),
     (marked("Current to force"), ("force_", "calibration_relative", "spring_", "hysteresis")),
     (marked("Position and range of motion"), ("position_", "stroke_", "carrying_", "moving_")),
     (marked("Thermometer and accelerometer"), ("temperature_", "heat_", "acceleration_", "gravity_")),
     (marked("Supplies, noise and mains"), ("supply_", "noise_", "mains_")),
+    (marked("Other quantities"), ("",)),
 )
 
 
@@ -174,18 +163,12 @@ def condition_rows(calibration: Calibration) -> tuple[tuple[str, str], ...]:
 
 
 def _static_tables(calibration: Calibration) -> list[Table]:
-    tables, shown = [], set()
-    head = (_("Quantity"), _("Value"), _("Unit"))
+    tables = []
+    rest = dict(calibration.quantities)
     for caption, begins in _GROUPS:
-        names = [name for name in calibration.quantities if name.startswith(begins) and name not in shown]
-        shown |= set(names)
-        rows = tuple(quantity_row(name, calibration.quantities[name]) for name in names)
+        rows = tuple(quantity_row(name, rest.pop(name)) for name in [*rest] if name.startswith(begins))
         if rows:
-            tables.append(Table(_(caption), head, rows))
-    rest = [name for name in calibration.quantities if name not in shown]
-    if rest:
-        rows = tuple(quantity_row(name, calibration.quantities[name]) for name in rest)
-        tables.append(Table(_("Other quantities"), head, rows))
+            tables.append(Table(_(caption), (_("Quantity"), _("Value"), _("Unit")), rows))
     if "repeats" in calibration.tables:
         tables.append(_repeats_table(calibration.tables["repeats"]))
     return [*tables, Table(_("Conditions"), (), condition_rows(calibration))]
@@ -205,7 +188,10 @@ def _repeats_table(columns: dict[str, tuple[float, ...]]) -> Table:
 
 
 def _panels(calibration: Calibration) -> list[Panel]:
-    panels = [_line_panel(found) for found in residuals(calibration)]
+    panels = []
+    for found in residuals(calibration):
+        heading, alt, caption = map(_, _LINES[found.table])
+        panels.append(Panel(found.table, heading, alt, caption, partial(_draw_line, found=found), height=2.9))
     if "repeats" in calibration.tables:
         columns = {name: np.array(values) for name, values in calibration.tables["repeats"].items()}
         panels.append(_repeats_panel(columns))
@@ -238,14 +224,9 @@ _LINES = {
 """Heading, text for screen readers and caption of the line of each table."""
 
 
-def _line_panel(found: Residuals) -> Panel:
-    """Return a line with its readings, and their residuals on the right."""
-    heading, alt, caption = (_(text) for text in _LINES[found.table])
-
-    def draw(figure: FigureBase) -> None:
-        draw_row(figure, line_plots(found))
-
-    return Panel(found.table, heading, alt, caption, draw, height=2.9)
+def _draw_line(figure: FigureBase, found: Residuals) -> None:
+    """Draw a line with its readings, and their residuals on the right."""
+    draw_row(figure, line_plots(found))
 
 
 def _repeats_panel(columns: Columns) -> Panel:
@@ -389,17 +370,16 @@ def _span(values: NDArray[np.float64], digits: int) -> str:
 def _by_position(tables: Mapping[str, Columns]) -> Table:
     sweep, profile = tables["sweep"], tables["force_constant"]
     here = np.interp(sweep["position_m"], profile["position_m"], profile["value_n_per_a"])
-    rows = []
-    for row, position in enumerate(sweep["position_m"]):
-        rows.append(
-            (
-                fixed(1e3 * position, 1),
-                *(fixed(scale * sweep[name][row], max(1, digits)) for _label, name, scale, digits, *_rest in _THESIS),
-                fixed(here[row], 3),
-            )
+    rows = tuple(
+        (
+            fixed(1e3 * position, 1),
+            *(fixed(scale * sweep[name][row], max(1, digits)) for _label, name, scale, digits, *_rest in _THESIS),
+            fixed(here[row], 3),
         )
+        for row, position in enumerate(sweep["position_m"])
+    )
     head = (_("Position (mm)"), *(_(label) for label, *_rest in _THESIS), f"k ({_('N per A')})")
-    return Table(_("By position"), head, tuple(rows), _("k is the combined estimate of the force constant."))
+    return Table(_("By position"), head, rows, _("k is the combined estimate of the force constant."))
 
 
 def _repeatability(columns: Columns) -> Table:

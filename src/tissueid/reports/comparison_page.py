@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from tissueid.analysis import ComparisonEntry, EngineComparison
 from tissueid.analysis.comparison import described_levels, distortion_of, is_multisine
 from tissueid.analysis.curves.comparison_plots import distortion_plot, memory_plots, response_plots, score_plots
-from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import fixed, grouped
 from tissueid.identification import engine_label
@@ -29,6 +28,7 @@ from tissueid.reports.page import (
     picture,
     surface_of,
     template,
+    write_figures,
     write_text_atomically,
 )
 from tissueid.reports.plot_renderer import column_figure, depth_panels, row_figure
@@ -39,7 +39,6 @@ from tissueid.reports.session_page import (
     power_picture,
     signals_picture,
 )
-from tissueid.reports.style import plain_image
 from tissueid.reports.tables import Table, held_out_cell, parameter_table, readable_date, settings_tables
 from tissueid.sessions import Session
 from tissueid.sessions.quality import quality_of
@@ -98,11 +97,6 @@ def _notes(entry: ComparisonEntry) -> Iterator[str]:
         yield from dict.fromkeys(entry.scored.analysis.model.report.warnings)
 
 
-def compared_parameters(found: EngineComparison) -> Table | None:
-    """Return the parameters of all engines, one row for each quantity; None when there are none."""
-    return parameter_table(found.analyses)
-
-
 Progress = Callable[[str, float], None]
 _ORDER: tuple[Group, ...] = ("record", "linear", "nonlinear", "validation")
 _DISTORTION = marked("Distortion by a multisine")
@@ -144,7 +138,7 @@ class ComparisonReport:
             scores=compared_scores(found),
             notes=tuple(translated(note) for note in notes_of(found)),
             sections=[(s, FigureGroup(s.key, s.heading, tuple(p.block for p in s.pictures))) for s in self.sections],
-            parameters=compared_parameters(found),
+            parameters=parameter_table(found.analyses),
             settings=settings_tables(self.session, test, found.analyses),
         )
 
@@ -162,17 +156,7 @@ class ComparisonReport:
         Raises:
             OSError: the folder cannot be made or written to.
         """
-        private_folder(folder)
-        written = []
-        for section in self.sections:
-            for drawn in section.pictures:
-                if drawn.figure is not None:
-                    for form in ("svg", "png"):
-                        target = folder / f"{drawn.key}.{form}"
-                        with atomic_file(target) as partial:
-                            plain_image(drawn.figure, partial, "svg" if form == "svg" else "png")
-                        written.append(target)
-        return tuple(written)
+        return write_figures((drawn for section in self.sections for drawn in section.pictures), folder)
 
 
 def comparison_report(
@@ -193,12 +177,14 @@ def comparison_report(
 def _overview(found: EngineComparison, surface_position_m: float) -> Section:
     profiles = {engine_label(name): analysis.depth_profile() for name, analysis in found.analyses.items()}
     known = {name: profile for name, profile in profiles.items() if profile is not None}
+    scores = score_plots(found)
+    height = 1.4 + 0.3 * len(scores[0].y.ticks)
     pictures = (
         picture(
             "scores",
             _("Scores"),
             _("Dots for each engine: variance accounted for on fitted and on held-out samples. Right: bars of AICc."),
-            lambda: (_scores_figure(found), _scores_caption(found)),
+            lambda: (row_figure(scores, height, widths=(2.2, 1.0), over=True), _scores_caption(found)),
         ),
         picture(
             "memory",
@@ -242,7 +228,7 @@ def _recorded(material: Material, found: EngineComparison) -> Section:
 def _distortion(material: Material) -> Picture:
     """Return noise, even and odd distortion if the stimulus was a multisine."""
     test, analysis = material.test, material.any
-    if analysis is None or not is_multisine(test.stimulus):
+    if not is_multisine(test.stimulus):
         return absent("distortion", _(_DISTORTION), NO_MULTISINE)
     names = analysis.record.input_name, analysis.record.output_name
 
@@ -287,11 +273,6 @@ def _ceiling(found: EngineComparison) -> str:
     return captions.joined(text, captions.findings(found.ceiling.left_out))
 
 
-def _scores_figure(found: EngineComparison) -> Figure:
-    scores, aicc = score_plots(found)
-    return row_figure((scores, aicc), 1.4 + 0.3 * len(scores.y.ticks), widths=(2.2, 1.0), over=True)
-
-
 def _scores_caption(found: EngineComparison) -> str:
     parts = [
         _(
@@ -303,17 +284,13 @@ def _scores_caption(found: EngineComparison) -> str:
             _("Diamonds: scheduled by measured depth; these scores cannot be compared with those of simulations.")
         )
     parts.append(_ceiling(found) or _("Without repeats in the session the highest possible score is not known."))
-    refused = [engine_label(name) for name in _refused(found.entries)]
+    refused = [engine_label(entry.engine) for entry in found.entries if entry.refused is not None]
     if refused:
         parts.append(_("Refused: {engines}.").format(engines=", ".join(refused)))
     parts.append(
         _("Right: the star marks the lowest AICc. AICc assumes independent residuals: small differences mean little.")
     )
     return captions.joined(*parts)
-
-
-def _refused(entries: tuple[ComparisonEntry, ...]) -> Iterator[str]:
-    return (entry.engine for entry in entries if entry.refused is not None)
 
 
 NO_DEPTH_ENGINE = Message("report.no_depth_engine", "no engine with a depth profile was run")

@@ -20,7 +20,6 @@ from tissueid.analysis.curves.overlay_plots import (
 )
 from tissueid.analysis.curves.plot import Plot, as_csv
 from tissueid.analysis.overlay import Overlay, quantity_label, repeated_values
-from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.engines.wiener import WienerModel
@@ -28,9 +27,17 @@ from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.reports import captions
-from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Picture, picture, template, write_text_atomically
+from tissueid.reports.page import (
+    RESEARCH_LINE,
+    FigureGroup,
+    Picture,
+    picture,
+    template,
+    write_figures,
+    write_text_atomically,
+)
 from tissueid.reports.plot_renderer import draw_grid, key_over
-from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure, plain_image
+from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure
 from tissueid.reports.tables import Table
 from tissueid.units import display_unit
 from tissueid.version import SOFTWARE
@@ -69,16 +76,7 @@ class DrawnFigures:
         Raises:
             OSError: the folder cannot be made or written to.
         """
-        private_folder(folder)
-        written = []
-        for drawn in self.pictures:
-            for form in ("svg", "png"):
-                if drawn.figure is not None:
-                    target = folder / f"{drawn.key}.{form}"
-                    with atomic_file(target) as partial:
-                        plain_image(drawn.figure, partial, "svg" if form == "svg" else "png")
-                    written.append(target)
-        return tuple(written)
+        return write_figures(self.pictures, folder)
 
     def csv(self) -> str:
         """Return the numbers of all figures as CSV."""
@@ -363,13 +361,3 @@ def repeated_table(found: Overlay) -> Table:
             )
         )
     return Table(_("Mean and standard deviation over tests"), head, tuple(rows))
-
-
-__all__ = [
-    "DrawnFigures",
-    "OverlayReport",
-    "grid_figure",
-    "overlay_report",
-    "overlay_scores",
-    "repeated_table",
-]

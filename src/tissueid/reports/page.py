@@ -7,21 +7,22 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 from matplotlib.figure import Figure, FigureBase
 
 from tissueid.analysis import Analysis
-from tissueid.atomic_write import atomic_file
+from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.configuration import has_depth, travel_word
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.language import _, current_language, marked
 from tissueid.messages import Message, translated
-from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure, to_svg
+from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure, plain_image, to_svg
 from tissueid.sessions import Test
 
 
@@ -77,6 +78,24 @@ def picture(key: str, heading: str, alt: str, make: Callable[[], tuple[Figure, s
 def absent(key: str, heading: str, reason: str, *, wide: bool = True) -> Picture:
     """Return a figure that was left out, for a reason without a full stop."""
     return Picture(key, heading, "", "", None, Message("report.left_out", "Left out: {reason}.", reason=reason), wide)
+
+
+def write_figures(pictures: Iterable[Picture], folder: Path) -> tuple[Path, ...]:
+    """Write every figure as SVG and PNG into a folder, which is made when missing, and return the files.
+
+    Raises:
+        OSError: the folder cannot be made or written to.
+    """
+    forms: tuple[Literal["svg", "png"], ...] = ("svg", "png")
+    private_folder(folder)
+    written = []
+    for drawn in pictures:
+        if drawn.figure is not None:
+            for form in forms:
+                written.append(folder / f"{drawn.key}.{form}")
+                with atomic_file(written[-1]) as partial:
+                    plain_image(drawn.figure, partial, form)
+    return tuple(written)
 
 
 RESEARCH_LINE = marked("Research use only. Not a medical device; not for diagnosis or treatment.")
@@ -172,33 +191,20 @@ def draw_sheet(title: str, panels: Sequence[Panel]) -> Figure:
     heights = [max(panel.height for panel in row) for row in rows]
     figure = new_figure(FULL_WIDTH, sum(heights) + _TITLE_HEIGHT)
     figure.suptitle(title, x=0.01, ha="left", fontsize=11.0)
-    for part, row in zip(_parts(figure, heights), rows, strict=True):
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for part, row in zip(parts, rows, strict=True):
         halves = [part] if len(row) == 1 else list(part.subfigures(1, 2, squeeze=False)[0])
         for half, panel in zip(halves, row, strict=False):
             panel.draw(half)
     return figure
 
 
-def _parts(figure: Figure, heights: Sequence[float]) -> list[FigureBase]:
-    return list(figure.subfigures(len(heights), 1, height_ratios=list(heights), squeeze=False)[:, 0])
-
-
 def _rows(panels: Sequence[Panel]) -> Iterator[list[Panel]]:
     """Yield rows: a wide panel alone, half-width panels in pairs."""
-    waiting: list[Panel] = []
-    for panel in panels:
-        if panel.wide:
-            if waiting:
-                yield waiting
-            waiting = []
-            yield [panel]
-            continue
-        waiting.append(panel)
-        if len(waiting) == 2:
-            yield waiting
-            waiting = []
-    if waiting:
-        yield waiting
+    for wide, alike in groupby(panels, lambda panel: panel.wide):
+        row = list(alike)
+        step = 1 if wide else 2
+        yield from (row[first : first + step] for first in range(0, len(row), step))
 
 
 CONFIGURATIONS = (marked("indentation"), marked("extension"), marked("surface"))

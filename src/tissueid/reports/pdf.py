@@ -81,39 +81,44 @@ def write_pdf(
     """
     if not analyses:
         raise UnusableInputError(NOTHING_ANALYSED)
+
+    def draw(paper: PageWriter) -> None:
+        _heading(paper, session, test)
+        if result is not None:
+            table, below = result
+            paper.table(*table)
+            for line in below:
+                paper.wrapped(line)
+            paper.draw_rule()
+        _verdict(paper, test, analyses)
+        _numbers(paper, test, analyses)
+        for table in further:
+            paper.table(*table)
+        _figures(paper, analyses)
+
+    write_pages(path, _("Session {name}").format(name=session.session_id), draw)
+
+
+def write_pages(path: Path, subject: str, draw: Callable[[PageWriter], object]) -> None:
+    """Draw pages about a subject in the style of the reports, and write them so that ``path`` is whole or untouched.
+
+    Raises:
+        OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
+    """
     written = io.BytesIO()
+
+    @drawing
+    def write() -> None:
+        paper = PageWriter()
+        draw(paper)
+        paper.write(written, subject)
+
     with warnings.catch_warnings():
         # Letters that the font lacks stand as boxes; the numbers are what matters.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
-        _write(written, session, test, analyses, result, further)
+        write()
     with atomic_file(path) as partial:
         partial.write_bytes(written.getvalue())
-
-
-@drawing
-def _write(
-    target: io.BytesIO,
-    session: Session,
-    test: Test,
-    analyses: Analyses,
-    result: tuple[FurtherTable, Sequence[str]] | None,
-    further: Sequence[FurtherTable],
-) -> None:
-    paper = PageWriter()
-    _heading(paper, session, test)
-    if result is not None:
-        table, below = result
-        paper.table(*table)
-        for line in below:
-            for words in textwrap.wrap(clean(line), _ACROSS):
-                paper.line(words, size=8.0, colour=MUTED)
-        paper.draw_rule()
-    _verdict(paper, test, analyses)
-    _numbers(paper, test, analyses)
-    for table in further:
-        paper.table(*table)
-    _figures(paper, analyses)
-    paper.write(target, _("Session {name}").format(name=session.session_id))
 
 
 class PageWriter:
@@ -133,6 +138,11 @@ class PageWriter:
         self.ensure_room(_LINE)
         self.y -= max(_LINE, size * 1.35 / 72.0)
         self.text(_LEFT, words, size=size, colour=colour, bold=bold)
+
+    def wrapped(self, words: str, *, size: float = 8.0, across: int = _ACROSS) -> None:
+        """Text in small muted lines of at most ``across`` letters."""
+        for line in textwrap.wrap(clean(words), across):
+            self.line(line, size=size, colour=MUTED)
 
     def text(self, x: float, words: str, *, size: float = 9.0, colour: str = INK, bold: bool = False) -> None:
         """Words at a place of the present line."""
@@ -169,8 +179,7 @@ class PageWriter:
         self.line(heading, size=11.0, bold=True)
         letter = _LETTER * size / 9.0
         if widths is not None:
-            starts = [_LEFT + sum(widths[:place]) for place in range(len(widths))]
-            self._rows(starts, heads, rows, size)
+            self._rows([_LEFT + sum(widths[:place]) for place in range(len(widths))], heads, rows, size)
             return
         letters = [max(_shown(head), *(len(row[place]) for row in rows)) for place, head in enumerate(heads)]
         most = int((_RIGHT - _LEFT) / letter) - sum(letters[1:]) - 3 * len(letters)
@@ -336,16 +345,14 @@ def _verdict(paper: PageWriter, test: Test, analyses: Analyses) -> None:
 
 
 def _numbers(paper: PageWriter, test: Test, analyses: Analyses) -> None:
-    rows = []
-    for found in key_numbers(analyses):
-        value = f"{found.value} ± {found.std}" if found.std else found.value
-        rows.append((found.label, f"{value} {found.unit}".strip(), found.note))
+    rows = [
+        (one.label, f"{one.value}{f' ± {one.std}' if one.std else ''} {one.unit}".strip(), one.note)
+        for one in key_numbers(analyses)
+    ]
     if not rows:
         return
     paper.table(_("This test"), ("", _("Value ± standard deviation"), ""), rows)
-    if where := visited(analyses, surface_of(test)):
-        for line in textwrap.wrap(clean(translated(where)), _ACROSS):
-            paper.line(line, size=8.0, colour=MUTED)
+    paper.wrapped(translated(visited(analyses, surface_of(test))))
 
 
 def _shown(head: str) -> int:

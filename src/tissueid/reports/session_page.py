@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -87,23 +87,23 @@ def test_page(
     ``refused`` are engines that could not use the test, and why: what they would have drawn says so.
     """
     test = session.test(number)
-    material = Material(session, test, analyses, tuple(_predictions(session, test, analyses)), refused)
+    material = Material(session, test, analyses, tuple(_predictions(test, analyses)), refused)
     key = f"test{number}"
     groups = _full_groups(material, key) if full else _short_groups(material, key)
     readings, read_group = _readings(material, key)
-    quality = quality_of(test)
+    verdict = judge(test, analyses)
     return TestPage(
         number=number,
         key=key,
         site=test.site,
         kind=_(test.kind.replace("_", " ")),
         configuration=_(test.configuration),
-        verdict=_translated_verdict(judge(test, analyses)),
+        verdict=replace(verdict, headline=_(verdict.headline), reasons=tuple(map(translated, verdict.reasons))),
         key_numbers=key_numbers(analyses),
         visited=" ".join(
             filter(None, [translated(visited(analyses, surface_of(test))), spring_line(analyses.values())])
         ),
-        quality=quality,
+        quality=quality_of(test),
         groups=(*groups, *read_group),
         readings=readings,
         parameters=parameter_table(analyses),
@@ -125,11 +125,6 @@ def test_page(
     )
 
 
-def _translated_verdict(verdict: Verdict) -> Verdict:
-    """Return a verdict in the language of the page."""
-    return Verdict(verdict.level, _(verdict.headline), tuple(translated(reason) for reason in verdict.reasons))
-
-
 def _warnings(analyses: Mapping[str, Analysis]) -> Iterator[str]:
     """What the engines warn of; what several say alike stands once, after all their names."""
     said: dict[str, list[str]] = {}
@@ -140,28 +135,28 @@ def _warnings(analyses: Mapping[str, Analysis]) -> Iterator[str]:
         yield f"{', '.join(names)}: {translated(text)}"
 
 
-def _predictions(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> list[Prediction]:
+def _predictions(test: Test, analyses: Mapping[str, Analysis]) -> list[Prediction]:
     """The linear engine that leads the report, and after it the Wiener cascade."""
     linear = linear_engine(analyses)
     chosen = [name for name, a in analyses.items() if name == linear or isinstance(a.model, WienerModel)]
-    found = []
-    for name in chosen[:4]:
-        analysis = analyses[name]
-        own = analysis.held_out_record.input is analysis.record.input
-        found.append(held_out_prediction(engine_label(name), analysis, test.preload_s if own else 0.0))
-    return found
+    own = {name: a.held_out_record.input is a.record.input for name, a in analyses.items()}
+    return [
+        held_out_prediction(engine_label(name), analyses[name], test.preload_s if own[name] else 0.0)
+        for name in chosen[:4]
+    ]
 
 
 def _full_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
+    predictions = material.predictions
     return (
         _group(
             material,
             f"{key}-recorded",
             _("What was recorded"),
-            _signals(material, key),
-            _power(material, key),
+            signals_picture(material.test, material.held_out_s, key),
+            power_picture(material.test, material.spectra, key),
             *_of_engines(material, key, "record"),
-            _distributions(material, key),
+            distributions_picture(material.any.record, key),
         ),
         _group(material, f"{key}-linear", _("Linear description"), *_of_engines(material, key, "linear")),
         _group(material, f"{key}-nonlinear", _("Nonlinear description"), *_of_engines(material, key, "nonlinear")),
@@ -170,8 +165,24 @@ def _full_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
             f"{key}-unseen",
             _("Against unseen data"),
             _prediction(material, key),
-            _scatter(material, key),
-            _residuals(material, key),
+            picture(
+                f"{key}-scatter",
+                _("Measured against predicted"),
+                _(
+                    "Clouds of measured against predicted output for each model, with the diagonal of perfect "
+                    "agreement."
+                ),
+                lambda: (row_figure(scatter_plots(predictions), 3.3), captions.scatter(predictions)),
+            ),
+            picture(
+                f"{key}-residuals",
+                _("What the models leave over"),
+                _(
+                    "Left: autocorrelation of the residuals. Right: their correlation with the input. Both with 95 % "
+                    "bands."
+                ),
+                lambda: (row_figure(correlation_plots(predictions), 3.0), _(captions.RESIDUALS)),
+            ),
         ),
     )
 
@@ -193,7 +204,8 @@ def _readings(material: Material, key: str) -> tuple[Table | None, tuple[FigureG
 def _short_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
     groups: tuple[Group, ...] = ("record", "linear", "nonlinear")
     drawn = [one for group in groups for one in _of_engines(material, key, group, short=True)]
-    return (_group(material, f"{key}-figures", "Figures", _signals(material, key), *drawn, _prediction(material, key)),)
+    recorded = signals_picture(material.test, material.held_out_s, key)
+    return (_group(material, f"{key}-figures", "Figures", recorded, *drawn, _prediction(material, key)),)
 
 
 def _group(material: Material, key: str, heading: str, *pictures: Picture) -> FigureGroup:
@@ -229,23 +241,6 @@ def _of_engines(material: Material, key: str, group: Group, *, short: bool = Fal
 # -- recorded -------------------------------------------------------------------------------------------------
 
 
-def _signals(material: Material, key: str) -> Picture:
-    return signals_picture(material.test, material.held_out_s, key)
-
-
-def _power(material: Material, key: str) -> Picture:
-    return power_picture(material.test, material.spectra, key)
-
-
-def _distributions(material: Material, key: str) -> Picture:
-    analysis = material.any
-    if analysis is None:
-        return absent(
-            f"{key}-distributions", _("Distributions of input and output"), _("no engine was run on this test")
-        )
-    return distributions_picture(analysis.record, key)
-
-
 # -- validated ------------------------------------------------------------------------------------------------
 
 
@@ -258,24 +253,6 @@ def _prediction(material: Material, key: str) -> Picture:
             column_figure(prediction_plots(material.predictions), 4.2, wide=True, heights=(2.2, 1.0), over=True),
             captions.prediction(material.analyses),
         ),
-    )
-
-
-def _scatter(material: Material, key: str) -> Picture:
-    return picture(
-        f"{key}-scatter",
-        _("Measured against predicted"),
-        _("Clouds of measured against predicted output for each model, with the diagonal of perfect agreement."),
-        lambda: (row_figure(scatter_plots(material.predictions), 3.3), captions.scatter(material.predictions)),
-    )
-
-
-def _residuals(material: Material, key: str) -> Picture:
-    return picture(
-        f"{key}-residuals",
-        _("What the models leave over"),
-        _("Left: autocorrelation of the residuals. Right: their correlation with the input. Both with 95 % bands."),
-        lambda: (row_figure(correlation_plots(material.predictions), 3.0), _(captions.RESIDUALS)),
     )
 
 
@@ -418,15 +395,15 @@ class Material:
         return [FigureSubject(name, a.model, a, surface) for name, a in self.analyses.items()]
 
     @property
-    def any(self) -> Analysis | None:
+    def any(self) -> Analysis:
         """Any analysis, for what all of them share."""
-        return next(iter(self.analyses.values()), None)
+        return next(iter(self.analyses.values()))
 
     @property
     def held_out_s(self) -> tuple[float, float] | None:
         """When the held-out part begins and ends, if it is a part of this test."""
         analysis = self.any
-        if analysis is None or analysis.held_out_record is not analysis.record:
+        if analysis.held_out_record is not analysis.record:
             return None
         start = round(self.test.preload_s * self.test.sample_rate_hz)
         first, end, _ = analysis.held_out.indices(len(analysis.record))

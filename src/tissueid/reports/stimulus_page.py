@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from matplotlib.figure import FigureBase
@@ -162,18 +162,7 @@ _INTENDED = marked("Dashed: intended amplitudes, counted in the same bins.")
 
 def stimulus_panels(design: StimulusDesign) -> Iterator[Panel]:
     """Yield the panels that apply to a stimulus."""
-    yield _time_series(design)
-    yield _amplitudes(design)
-    if isinstance(design.specification, Multisine):
-        yield _lines(design, design.specification)
-    yield _power(design)
-    yield _autocorrelation(design)
-    if design.search is not None:
-        yield _swaps(design)
-
-
-def _time_series(design: StimulusDesign) -> Panel:
-    return Panel(
+    yield Panel(
         "time-series",
         _("Over time"),
         _("Line plots of the stimulus: the whole of it, and a fifth of a second sample by sample."),
@@ -181,6 +170,41 @@ def _time_series(design: StimulusDesign) -> Panel:
         lambda figure: _draw_time_series(figure, design),
         height=3.9,
     )
+    wanted = design.intended_amplitudes
+    yield Panel(
+        "amplitudes",
+        _("Distribution of amplitudes"),
+        _("Histogram and cumulative distribution of the values, with the intended ones as dashed lines."),
+        captions.joined(_(_AMPLITUDES), "" if wanted is None else _(_INTENDED)),
+        lambda figure: draw_row(figure, amplitude_plots(design.played, design.stimulus.unit, wanted)),
+        height=2.7,
+    )
+    multisine = design.specification
+    if isinstance(multisine, Multisine):
+        yield Panel(
+            "lines",
+            _("Lines of one period"),
+            _("Amplitude of the lines of one period against frequency: driven, detection and other lines."),
+            _(
+                "One period has a line every {spacing} Hz. Lines that are not driven contain only rounding, so that "
+                "power of the response at these lines is noise or distortion."
+            ).format(spacing=number(multisine.resolution_hz)),
+            lambda figure: draw_row(figure, [line_plot(multisine, design.stimulus)]),
+        )
+    yield _power(design)
+    yield _autocorrelation(design)
+    if design.search is not None:
+        yield Panel(
+            "swaps",
+            _("Convergence of the interchange"),
+            _("Sum of squared differences of the autocorrelation from its target against accepted swaps."),
+            _(
+                "Every accepted swap reduces the error. It begins at the error of the spectral surrogate (Chen 2010, "
+                "Fig. 6.2b)."
+            ),
+            lambda figure: draw_row(figure, [swaps_plot(design.search)]),
+            wide=False,
+        )
 
 
 def _draw_time_series(figure: FigureBase, design: StimulusDesign) -> None:
@@ -194,31 +218,6 @@ def _draw_time_series(figure: FigureBase, design: StimulusDesign) -> None:
         )
         other.set_ylabel(_("Command (V)") if in_newtons else _("Force at rest (N)"))
         other.spines["right"].set_visible(True)
-
-
-def _amplitudes(design: StimulusDesign) -> Panel:
-    wanted = design.intended_amplitudes
-    return Panel(
-        "amplitudes",
-        _("Distribution of amplitudes"),
-        _("Histogram and cumulative distribution of the values, with the intended ones as dashed lines."),
-        captions.joined(_(_AMPLITUDES), "" if wanted is None else _(_INTENDED)),
-        lambda figure: draw_row(figure, amplitude_plots(design.played, design.stimulus.unit, wanted)),
-        height=2.7,
-    )
-
-
-def _lines(design: StimulusDesign, multisine: Multisine) -> Panel:
-    return Panel(
-        "lines",
-        _("Lines of one period"),
-        _("Amplitude of the lines of one period against frequency: driven, detection and other lines."),
-        _(
-            "One period has a line every {spacing} Hz. Lines that are not driven contain only rounding, so that power "
-            "of the response at these lines is noise or distortion."
-        ).format(spacing=number(multisine.resolution_hz)),
-        lambda figure: draw_row(figure, [line_plot(multisine, design.stimulus)]),
-    )
 
 
 def _power(design: StimulusDesign) -> Panel:
@@ -257,20 +256,6 @@ def _autocorrelation(design: StimulusDesign) -> Panel:
         _("Normalised autocorrelation against lag, with its target where there is one and the difference below."),
         caption,
         draw,
-        wide=False,
-    )
-
-
-def _swaps(design: StimulusDesign) -> Panel:
-    return Panel(
-        "swaps",
-        _("Convergence of the interchange"),
-        _("Sum of squared differences of the autocorrelation from its target against accepted swaps."),
-        _(
-            "Every accepted swap reduces the error. It begins at the error of the spectral surrogate (Chen 2010, "
-            "Fig. 6.2b)."
-        ),
-        lambda figure: draw_row(figure, [swaps_plot(design.search)]),
         wide=False,
     )
 
@@ -329,7 +314,7 @@ class StimulusReport:
             return
         figure = draw_sheet(self.title, self.panels)
         with atomic_file(path) as partial:
-            plain_image(figure, partial, "pdf" if form == ".pdf" else "svg" if form == ".svg" else "png")
+            plain_image(figure, partial, cast(Any, form.removeprefix(".")))
 
 
 def output_suffix(path: Path) -> str:
@@ -362,18 +347,15 @@ def stimulus_report(design: StimulusDesign) -> StimulusReport:
     """Return the report of a stimulus that is designed before its test."""
     stimulus, found, kind = design.stimulus, design.appraisal, design.specification
     headline, level = judged(found)
-    length = fixed(stimulus.seconds, 2)
-    low, high = (
-        (found.force_min_n, found.force_max_n)
-        if stimulus.unit == "N"
-        else (
-            found.voltage_min_v,
-            found.voltage_max_v,
-        )
-    )
+    force, voltage = (found.force_min_n, found.force_max_n), (found.voltage_min_v, found.voltage_max_v)
+    low, high = force if stimulus.unit == "N" else voltage
     return StimulusReport(
         title=_("Stimulus {kind}, {low} to {high} {unit}, {seconds} s").format(
-            kind=kind.name, low=fixed(low, 1), high=fixed(high, 1), unit=stimulus.unit, seconds=length
+            kind=kind.name,
+            low=fixed(low, 1),
+            high=fixed(high, 1),
+            unit=stimulus.unit,
+            seconds=fixed(stimulus.seconds, 2),
         ),
         facts=(
             (_("Instrument"), f"{design.device.model}, {design.device.serial_number}"),

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pandas as pd
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
 from tissueid.analysis.curves.plot import Plot
@@ -26,18 +24,17 @@ from tissueid.analysis.curves.samples import (
     PHASE,
     STIFFNESS,
 )
-from tissueid.atomic_write import atomic_file
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import clean, label_and_unit
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Verbatim, translated
 from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Panel, template
-from tissueid.reports.pdf import TEXT_WIDTH, PageWriter, key_size, text_width
+from tissueid.reports.pdf import TEXT_WIDTH, PageWriter, key_size, text_width, write_pages
 from tissueid.reports.plot_axes import turn_names
 from tissueid.reports.plot_renderer import draw_plot, key_over
 from tissueid.reports.study_tables import ABOUT, COLUMNS, HEADINGS, left_out_table, study_tables
-from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, MUTED, drawing
+from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, MUTED
 from tissueid.reports.tables import Table
 from tissueid.studies.curve_groups import By, GroupCurve, chosen, directions
 from tissueid.studies.study_plots import (
@@ -140,14 +137,10 @@ def curve_figures(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
         yield "change-depth", _("Change against depth: conditions"), plots
     for one in found.components:
         order = _(_ORDERS[one.curve])
-        if one.curve == KERNEL1:
-            shown: Plots = {_label(component_curves(one)): partial(component_curves, one)}
-        else:
-            shown = {_label(plot): partial(_same, plot) for plot in component_panels(one)}
-        number = "1" if one.curve == KERNEL1 else "2"
-        yield f"components{number}-all", _("Principal components, {kernel}").format(kernel=order), shown
+        number, shown = ("1", [component_curves(one)]) if one.curve == KERNEL1 else ("2", component_panels(one))
+        yield f"components{number}-all", _("Principal components, {kernel}").format(kernel=order), _drawn(shown)
         if len(one.names) > 1:
-            plots = {_label(scores_plot(one)): partial(scores_plot, one)}
+            plots = _drawn([scores_plot(one)])
             yield f"scores-{number}", _("Scores of the components, {kernel}").format(kernel=order), plots
 
 
@@ -169,12 +162,9 @@ def _panels(curves: Sequence[GroupCurve]) -> Plots:
     return {Verbatim(translated(name_of(one))): partial(kernel_panel, one, limit) for one in curves[:MOST_PANELS]}
 
 
-def _label(plot: Plot) -> Verbatim:
-    return Verbatim(translated(plot.title))
-
-
-def _same(plot: Plot) -> Plot:
-    return plot
+def _drawn(plots: Iterable[Plot]) -> Plots:
+    """Return plots that are computed already by their titles."""
+    return {Verbatim(translated(plot.title)): partial(replace, plot) for plot in plots}
 
 
 MOST_DRAWN = 6
@@ -287,7 +277,7 @@ def _figure_groups(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
         if "first_test" in tables:
             plots: Plots = {name: partial(first_test_plot, plain, name) for name in names}
             yield "first", _(HEADINGS["first_test"]), plots
-        for factor in _factors(tables.get("groups")):
+        for factor in _factors(tables.get("groups", pd.DataFrame())):
             title = _("Groups: {factor}").format(factor=_(label_and_unit(factor)[0]))
             yield f"by-{factor}", title, {name: partial(groups_plot, means, factor, name) for name in names}
         rows = tables.get("regressions", pd.DataFrame())
@@ -316,8 +306,8 @@ def _reference(found: StudyStatistics) -> str:
     return "" if "" in conditions else str(conditions[0])
 
 
-def _factors(rows: pd.DataFrame | None) -> list[str]:
-    return [] if rows is None or rows.empty else list(dict.fromkeys(rows["factor"]))
+def _factors(rows: pd.DataFrame) -> list[str]:
+    return [] if rows.empty else list(dict.fromkeys(rows["factor"]))
 
 
 def _group(key: str, heading: str, plots: Plots) -> FigureGroup:
@@ -368,8 +358,8 @@ def plot_label(name: str, plot: Plot) -> str:
     return translated(plot.title) if name in OF_SEVERAL or isinstance(name, Verbatim) else _(label_and_unit(name)[0])
 
 
-_ACROSS = 105
-"""Letters that fit across at 9 points."""
+_ACROSS, _ACROSS_SMALL = 105, 118
+"""Letters that fit across at 9 points, and at 8."""
 _PER_ROW = 2
 """Figures side by side."""
 _ROW_INCHES, _HEAD_INCHES = 2.15, 0.5
@@ -392,18 +382,13 @@ def write_study_pdf(path: Path, name: str, engine: str, found: StudyStatistics, 
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    written = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)  # letters that the font lacks
-        _write(written, name, engine, found, failures)
-    with atomic_file(path) as partial_file:
-        partial_file.write_bytes(written.getvalue())
-
-
-@drawing
-def _write(target: io.BytesIO, name: str, engine: str, found: StudyStatistics, failures: Mapping[str, str]) -> None:
-    paper = PageWriter()
     title = _("Study {name}").format(name=name)
+    write_pages(path, title, partial(_draw_pages, title=title, engine=engine, found=found, failures=failures))
+
+
+def _draw_pages(
+    paper: PageWriter, title: str, engine: str, found: StudyStatistics, failures: Mapping[str, str]
+) -> None:
     paper.line(title, size=17.0, bold=True)
     for label, value in study_facts(found, engine):
         for place, words in enumerate(textwrap.wrap(clean(value), _ACROSS - 20)):
@@ -417,7 +402,7 @@ def _write(target: io.BytesIO, name: str, engine: str, found: StudyStatistics, f
     if notes:
         paper.line(_("Left out"), size=11.0, bold=True)
         for note in notes:
-            _wrapped(paper, note, size=9.0)
+            paper.wrapped(note, size=9.0, across=_ACROSS)
     for key, heading, plots in study_plots(found):
         _figures(paper, key, heading, plots)
     for table in tables_of(found):
@@ -425,14 +410,7 @@ def _write(target: io.BytesIO, name: str, engine: str, found: StudyStatistics, f
         size = next((one for one in _TABLE_SIZES if len(_parts(broken, one)) == 1), _TABLE_SIZES[-1])
         for part, widths in _parts(broken, size):
             paper.table(part.caption, part.head, part.rows, size=size, widths=widths)
-            if part.note:
-                _wrapped(paper, part.note, size=8.0)
-    paper.write(target, title)
-
-
-def _wrapped(paper: PageWriter, text: str, *, size: float) -> None:
-    for words in textwrap.wrap(clean(text), _ACROSS if size > 8.0 else round(_ACROSS * 9.0 / 8.0)):
-        paper.line(words, size=size, colour=MUTED)
+            paper.wrapped(part.note, across=_ACROSS_SMALL)
 
 
 def _figures(paper: PageWriter, key: str, heading: str, plots: Mapping[str, Callable[[], Plot]]) -> None:
@@ -441,14 +419,16 @@ def _figures(paper: PageWriter, key: str, heading: str, plots: Mapping[str, Call
     names = list(made)
     handles = _key_of(made[names[0]])
     key_height = key_size(handles[1])[1]
-    caption = caption_of(key)
     paper.ensure_room(_ROW_INCHES + key_height + _HEAD_INCHES)
     paper.y -= 0.08
     paper.line(heading, size=11.0, bold=True)
-    _wrapped(paper, caption, size=8.0)
+    paper.wrapped(caption_of(key), across=_ACROSS_SMALL)
     page = None
     for first in range(0, len(names), count):
-        row = [(plot_label(name, made[name]), partial(_draw, made[name])) for name in names[first : first + count]]
+        row = [
+            (plot_label(name, made[name]), partial(draw_plot, plot=made[name], title=False, key=False))
+            for name in names[first : first + count]
+        ]
         paper.ensure_room(_ROW_INCHES + (0.0 if page else key_height))
         if paper.pages[-1] is not page:  # the key stands once on each page
             if page is not None:
@@ -466,18 +446,13 @@ def _key_of(plot: Plot) -> tuple[list[Artist], list[str]]:
     return (list(handles), names) if len(names) > 1 else ([], [])
 
 
-def _draw(plot: Plot, axes: Axes) -> None:
-    draw_plot(axes, plot, title=False, key=False)
-
-
 def _with_broken_heads(table: Table) -> Table:
     """Return a table whose heads are broken into lines that are no longer than the cells below them."""
     heads = []
     for place, head in enumerate(table.head):
-        most = max((len(row[place]) for row in table.rows), default=0)
-        longest = max(map(len, head.split()), default=1)
-        heads.append("\n".join(textwrap.wrap(head, max(most, longest, _SHORTEST_HEAD))))
-    return Table(table.caption, tuple(heads), table.rows, table.note)
+        most = max(_SHORTEST_HEAD, *(len(row[place]) for row in table.rows), *map(len, head.split()))
+        heads.append("\n".join(textwrap.wrap(head, most)))
+    return replace(table, head=tuple(heads))
 
 
 def _parts(table: Table, size: float) -> list[tuple[Table, list[float]]]:

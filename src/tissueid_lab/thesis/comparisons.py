@@ -300,7 +300,11 @@ def memory_rows(found: Overlay) -> list[Row]:
     here = shortest(lambda: engine.fit(record))
     best = [ms for ms in sorted(depth) if depth[ms][1] <= min(one[ms][1] for one in (lms, wiener, second) if ms in one)]
     return [
-        Row(marked("VAF of LMS, 30 and 60 lags of 2 ms"), marked("level from 30"), _two(lms)),
+        Row(
+            marked("VAF of LMS, 30 and 60 lags of 2 ms"),
+            marked("level from 30"),
+            f"{percent(lms[60][0])} and {percent(lms[120][0])}",
+        ),
         Row(marked("gain of Wiener over LMS"), marked("about 5"), f"{fixed(float(gain), 1)}"),
         Row(
             marked("VAF of the second-order kernel at 60 lags"),
@@ -320,10 +324,6 @@ def memory_rows(found: Overlay) -> list[Row]:
             f"{number(here, 2)} s; {number(printed, 2)} s",
         ),
     ]
-
-
-def _two(scores: dict[float, tuple[float, float]]) -> str:
-    return f"{percent(scores[60][0])} and {percent(scores[120][0])}"
 
 
 def _tail(best: Sequence[float], every: Sequence[float]) -> str:

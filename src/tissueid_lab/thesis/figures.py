@@ -90,17 +90,6 @@ def _range_tests() -> tuple[Source, ...]:
     return tuple(found)
 
 
-def _repeats(count: int) -> tuple[Source, ...]:
-    return tuple(
-        Source(
-            SKIN_SITES[preset],
-            Recording(f"{preset}-repeat-{seed}", preset, (0.5, 10.5), seed=100 + seed, distribution="gaussian"),
-        )
-        for preset in TABLE_3_1
-        for seed in range(count)
-    )
-
-
 _INPUTS = (
     ("LMS", "74.3 %", "79.6 %"),
     ("Wiener", "+5", "+3"),
@@ -319,7 +308,14 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "Table 3.1",
         marked("Repeatability over ten tests at three sites"),
-        _repeats(_TEN),
+        (tuple(
+        Source(
+            SKIN_SITES[preset],
+            Recording(f"{preset}-repeat-{seed}", preset, (0.5, 10.5), seed=100 + seed, distribution="gaussian"),
+        )
+        for preset in TABLE_3_1
+        for seed in range(_TEN)
+    )),
         ("LMS=lms", "Wiener=wiener,scaling=1000"),
         (),
         repeat_rows,

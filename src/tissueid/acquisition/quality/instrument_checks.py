@@ -361,7 +361,9 @@ def check_temperature(prepared: PreparedTest) -> Iterator[QualityFinding]:
     begin, end = float(known[:tenth].mean()), float(known[-tenth:].mean())
     hottest = max(begin, end)
     limit_c = _limit(prepared, "limit_max_temperature_c", np.nan)
-    if _too_hot(prepared) and float(known.max()) < limit_c:
+    test = prepared.test
+    too_hot = test.status == "aborted" and not _TOO_HOT.isdisjoint(reason_codes(test.reason))
+    if too_hot and float(known.max()) < limit_c:
         yield QualityFinding(
             "coil_warm",
             "look",
@@ -396,11 +398,6 @@ def check_temperature(prepared: PreparedTest) -> Iterator[QualityFinding]:
             marked("The force is measured from the current and stays valid. Pause between tests."),
             end - begin,
         )
-
-
-def _too_hot(prepared: PreparedTest) -> bool:
-    """Return whether the test was stopped because of the coil temperature, by the instrument or by the host."""
-    return prepared.test.status == "aborted" and not _TOO_HOT.isdisjoint(reason_codes(prepared.test.reason))
 
 
 def check_calibration(prepared: PreparedTest) -> Iterator[QualityFinding]:

@@ -288,7 +288,10 @@ def check_against_earlier(prepared: PreparedTest, others: Sequence[Test]) -> Ite
 
 def _against_repeats(prepared: PreparedTest, repeats: Sequence[Test]) -> Iterator[QualityFinding]:
     """Compare the responses to the same command."""
-    responses = [_response(test, prepared.first) for test in (*repeats, prepared.test)]
+    responses = [
+        np.asarray(test.signals["position"][prepared.first :: _STEP], dtype=np.float64)
+        for test in (*repeats, prepared.test)
+    ]
     spread = float(np.nanstd(responses[-1])) or 1.0
     levels = [float(np.nanmean(response)) for response in responses]
     settling = _settling(prepared, levels)
@@ -380,10 +383,6 @@ def _shifted(prepared: PreparedTest, levels: Sequence[float]) -> QualityFinding 
         prepared.texts.unusual_advice,
         abs(off),
     )
-
-
-def _response(test: Test, first: int) -> Array:
-    return np.asarray(test.signals["position"][first::_STEP], dtype=np.float64)
 
 
 def _difference(a: Array, b: Array) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import chain
 
@@ -122,7 +122,12 @@ def profile_plots(
     if not known:
         raise UnusableInputError("report.no_profile", "mass, damping and stiffness could not be estimated at any depth")
     x, origin = depth_axis(surface_position_m)
-    series = _series(known)
+    series = [
+        (_one_direction(name, way), profile, np.flatnonzero(profile.direction == way))
+        for name, profile in known.items()
+        for way in (0, 1, -1)
+        if (profile.direction == way).any()
+    ]
     made = []
     for quantity, (axis, _name, _scale) in QUANTITIES.items():
         curves = [_series_curve(one, quantity, origin) for one in series]
@@ -200,16 +205,6 @@ def sample_counts(positions: Array, origin_m: float, bins: int) -> Bars:
     heights, edges = np.histogram(1e3 * (positions[np.isfinite(positions)] - origin_m), bins=bins)
     middles = 0.5 * (edges[:-1] + edges[1:])
     return Bars(middles, heights.astype(np.float64), np.diff(edges), colour="muted", opacity=0.5)
-
-
-def _series(profiles: Mapping[str, DepthProfile]) -> Sequence[_Series]:
-    """Return every direction of every profile as a series."""
-    return [
-        (_one_direction(name, way), profile, np.flatnonzero(profile.direction == way))
-        for name, profile in profiles.items()
-        for way in (0, 1, -1)
-        if (profile.direction == way).any()
-    ]
 
 
 def _one_direction(name: str, way: int) -> str:

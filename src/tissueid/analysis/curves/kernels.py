@@ -411,7 +411,18 @@ def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
         analysis, model = entry.analysis, entry.analysis.model
         if not isinstance(model, PartitionedModel) or model.partitions.depths < 2:
             continue
-        run = _scheduled_run(model, analysis.record, analysis.fit_part)
+        record, part = analysis.record, analysis.fit_part
+        run = Prediction(
+            label=marked("modelled"),
+            time_s=record.time[part],
+            input=record.input[part],
+            measured=record.output[part],
+            predicted=model.simulate_scheduled(record)[part],
+            sample_rate_hz=record.sample_rate_hz,
+            output_name=record.output_name,
+            output_unit=record.output_unit,
+            memory_samples=model.memory_samples,
+        )
         output = prediction_plots([run], _STRETCH_S)[0]
         title = _with_vaf(found.label(entry), entry.shown_percent)
         cloud = cloud_plot(run.predicted, run.measured, run.output_unit, colour=style_of(found, entry)[0])
@@ -423,20 +434,6 @@ def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
     if not made:
         raise UnusableInputError("overlay.no_partitions", "no fit has kernels by depth")
     return made
-
-
-def _scheduled_run(model: PartitionedModel, record: Record, part: slice) -> Prediction:
-    return Prediction(
-        label=marked("modelled"),
-        time_s=record.time[part],
-        input=record.input[part],
-        measured=record.output[part],
-        predicted=model.simulate_scheduled(record)[part],
-        sample_rate_hz=record.sample_rate_hz,
-        output_name=record.output_name,
-        output_unit=record.output_unit,
-        memory_samples=model.memory_samples,
-    )
 
 
 def _with_vaf(label: str, percent: float) -> str:

@@ -176,10 +176,10 @@ def _voltage(test: Test) -> Plot:
         raise UnusableInputError("report.no_voltage", "no voltage was recorded")
     plot = recording_plots(test)[0]
     # Long lines are reduced to their extremes by column, so that they are drawn fast.
-    parts = (
-        replace(curve, **dict(zip("xy", thin(curve.x, curve.y), strict=True))) if curve.kind == "line" else curve
-        for curve in plot.curves
-    )
+    parts = []
+    for curve in plot.curves:
+        x, y = thin(curve.x, curve.y) if curve.kind == "line" else (curve.x, curve.y)
+        parts.append(replace(curve, x=x, y=y))
     return replace(plot, title=marked("Voltage"), parts=tuple(parts))
 
 
