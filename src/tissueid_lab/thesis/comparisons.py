@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 POSTERIOR, ANTERIOR = "left-posterior-forearm", "left-anterior-forearm"
 DISTAL, UPPER = "left-distal-forearm", "upper-arm"
-RELAXING = "skin-anterior-relaxing"
+RELAXING, ATTACHED = "skin-anterior-relaxing", "forearm-attached"
 LINEAR, WIENER, DPN = "linear-demo", "wiener-demo", "dpn-demo"
 SKIN_ANTERIOR, SKIN_POSTERIOR, SKIN_DISTAL = "skin-anterior", "skin-posterior", "skin-distal"
 SKIN_SITES = {
@@ -95,13 +95,19 @@ def range_rows(found: Overlay) -> list[Row]:
 
 
 def loop_rows(found: Overlay) -> list[Row]:
-    """Return the width of the loops at each range (Fig. 3.12)."""
+    """Return the width of the loops at each range, and the stiffness pulled and pushed (Fig. 3.12)."""
     said = {"11 N": marked("loops appear"), "7 N": marked("little looping"), "1 N": marked("least looping")}
     rows = []
     for label, thesis in said.items():
-        widths = [loop_width(one) for one in found.entries if one.source == label]
-        rows.append(Row(f"{label}, width of loops", thesis, f"{number(1e6 * float(np.median(widths)), 3)} µm"))
-    return rows
+        for source in (label, f"{label}, attached"):
+            widths = [loop_width(one) for one in found.entries if one.source == source]
+            rows.append(Row(f"{source}, width of loops", thesis, f"{number(1e6 * float(np.median(widths)), 3)} µm"))
+    profile = series_profiles(found, from_surface=True)["1 N, attached", "wiener"]
+    away = float(min(-profile.position[0], profile.position[-1]))
+    pulled, between, pushed = np.interp([-away, 0.0, away], profile.position, profile.stiffness)
+    here = f"{fixed(pulled, 0)} and {fixed(pushed, 0)} N/m; {fixed(between, 0)} N/m at the surface"
+    what = f"K of attached skin, pulled and pushed by {fixed(1e3 * away, 1)} mm"
+    return [*rows, Row(what, marked("rises faster when pulled"), here)]
 
 
 def _stiffness_rows(found: Overlay, fit: str) -> list[Row]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from tissueid.language import marked
 from tissueid_lab.thesis.comparisons import (
     ANTERIOR,
+    ATTACHED,
     DISTAL,
     DPN,
     EXACT,
@@ -68,6 +69,12 @@ def _localized(preset: str) -> tuple[Recording, ...]:
     )
 
 
+def _attached(name: str, low_n: float, high_n: float, seconds: float = 4.0) -> Recording:
+    """Return a test that pulls and pushes skin which is attached to the probe (thesis 3.4)."""
+    name = f"{ATTACHED}-{name}"
+    return Recording(name, ATTACHED, (low_n, high_n), seconds, 4, "gaussian", coupling="adhesive")
+
+
 _LARGE = {POSTERIOR: LARGE} | {preset: Recording(f"{preset}-large", preset) for preset in (ANTERIOR, DISTAL, UPPER)}
 _ELEVEN = Recording(f"{POSTERIOR}-11n", POSTERIOR, (0.0, 11.0), seed=6)
 _WHITE = {preset: _white(f"{preset}-white", preset) for preset in (POSTERIOR, ANTERIOR, DISTAL, UPPER)}
@@ -106,7 +113,14 @@ _STRATEGIES = {
     "regularised": "not in the thesis",
 }
 """Fit, and VAF in the thesis (Fig. 4.15)."""
-_TEN = 10
+_TEN_TESTS = tuple(
+    Source(
+        SKIN_SITES[preset],
+        Recording(f"{preset}-repeat-{seed}", preset, (0.5, 10.5), seed=100 + seed, distribution="gaussian"),
+    )
+    for preset in TABLE_3_1
+    for seed in range(10)
+)
 _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "3.4",
@@ -126,11 +140,14 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ),
     ThesisFigure(
         "3.12",
-        marked("Static nonlinearity with ranges of 11, 7 and 1 N, and impulse responses by depth"),
+        marked("Static nonlinearity with ranges of 11, 7 and 1 N, pushed, then pulled and pushed; responses by depth"),
         (
             Source("11 N", _ELEVEN),
             Source("7 N", Recording(f"{POSTERIOR}-7n", POSTERIOR, (2.0, 9.0), seed=5)),
             *(Source("1 N", one) for one in _localized(POSTERIOR)),
+            Source("11 N, attached", _attached("11n", -5.5, 5.5)),
+            Source("7 N, attached", _attached("7n", -3.5, 3.5)),
+            *(Source("1 N, attached", _attached(f"local-{n}", n - 0.5, n + 0.5, 2.0)) for n in range(-5, 6)),
         ),
         ("wiener",),
         ("nonlinearity", "impulse-by-depth"),
@@ -308,14 +325,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "Table 3.1",
         marked("Repeatability over ten tests at three sites"),
-        (tuple(
-        Source(
-            SKIN_SITES[preset],
-            Recording(f"{preset}-repeat-{seed}", preset, (0.5, 10.5), seed=100 + seed, distribution="gaussian"),
-        )
-        for preset in TABLE_3_1
-        for seed in range(_TEN)
-    )),
+        _TEN_TESTS,
         ("LMS=lms", "Wiener=wiener,scaling=1000"),
         (),
         repeat_rows,

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 
 from tissueid.analysis.curves.plot import Plot
 from tissueid.analysis.overlay import Overlay, OverlayEntry
+from tissueid.configuration import CouplingName
 from tissueid.formatting import fixed
 from tissueid.identification.base import Model
 from tissueid.language import _, marked
@@ -42,8 +43,8 @@ class Recording:
 
     ``options`` are further options of the stimulus. ``name`` is that of its file. With ``stimulus`` "rtig" the depth is
     distributed by feedback; "sweep" is a dynamic sweep, whose ``options`` are those of the sweep. ``coil`` is that
-    of the instrument: ideal, or finite. A ``quick`` recording
-    is shorter, and played on an instrument that is not restarted for each test.
+    of the instrument: ideal, or finite. ``coupling`` is what attaches the probe, which can then pull. A ``quick``
+    recording is shorter, and played on an instrument that is not restarted for each test.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Recording:
     options: tuple[tuple[str, Any], ...] = ()
     stimulus: Literal["noise", "rtig", "sweep"] = "noise"
     coil: str = "ideal"
+    coupling: CouplingName = "none"
     quick: bool = False
 
     def shortened(self) -> Recording:

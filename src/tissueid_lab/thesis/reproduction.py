@@ -213,7 +213,8 @@ def _play(instrument: Instrument, recording: Recording, path: Path, control: Con
                 else with_preload(Noise(distribution=recording.distribution, **given).build())
             )
             surface = find_surface(instrument, cancelled=control.check)
-            test = GuidedTest(stimulus, TestSettings(site=recording.preset.replace("-", " ")), limits=CLINICAL)
+            settings = TestSettings(site=recording.preset.replace("-", " "), coupling=recording.coupling)
+            test = GuidedTest(stimulus, settings, limits=CLINICAL)
             run_guided_test(instrument, test, recorder, surface_m=surface, cancelled=control.check)
     except BaseException:
         recorder.finish_or_discard()
