@@ -93,10 +93,6 @@ class GuidedTest:
         return self.stimulus
 
 
-def _default_stop_reason() -> str:
-    return _PRECISE
-
-
 _PRECISE = Message("test.precise", "the estimates were precise enough")
 
 
@@ -313,7 +309,7 @@ def run_guided_test(
     progress: Callable[[Progress], None] = ignore_progress,
     cancelled: Callable[[], bool] = never_stop,
     enough: Callable[[], bool] = never_stop,
-    why: Callable[[], str] = _default_stop_reason,
+    why: Callable[[], str] = lambda: _PRECISE,
     clock: Callable[[], float] = time.perf_counter,
 ) -> int:
     """Run and record one guided test; return its number.

@@ -335,7 +335,8 @@ class Journal:
             self._write(MAGIC)
         except OSError as error:
             self._file.close()
-            _remove(path)
+            with contextlib.suppress(OSError):
+                path.unlink()
             raise JournalError(
                 "journal.not_begun",
                 "cannot write {path}: {reason}. Nothing was started",
@@ -459,16 +460,13 @@ class Journal:
                     action=RECOVER,
                 )
             if time.monotonic() >= until:
-                raise self._timeout_error()
-
-    def _timeout_error(self) -> JournalError:
-        return JournalError(
-            "journal.no_answer",
-            "the disk of {path} does not respond. The written part is kept; when the disk responds again, {action} "
-            "makes the session from it",
-            path=str(self.path),
-            action=RECOVER,
-        )
+                raise JournalError(
+                    "journal.no_answer",
+                    "the disk of {path} does not respond. The written part is kept; when the disk responds again, "
+                    "{action} makes the session from it",
+                    path=str(self.path),
+                    action=RECOVER,
+                )
 
     def _write_all(self) -> None:
         try:
@@ -501,24 +499,21 @@ class Journal:
                 self._written_bytes += len(item)
             elif isinstance(item, _Flush):
                 if item.last:
-                    self._end(item)
-                    return
+                    try:
+                        self._file.close()  # which releases its lock
+                    except OSError as error:
+                        self._fail(error)
+                    self._ended = True
                 item.done.set()
-
-    def _end(self, request: _Flush) -> None:
-        """Close the file, which releases its lock."""
-        try:
-            self._file.close()
-        except OSError as error:
-            self._fail(error)
-        self._ended = True
-        request.done.set()
+                if item.last:
+                    return
 
     def _fail(self, error: BaseException) -> None:
-        """Store the first error; if the file was removed, nothing counts as synced."""
+        """Store the first error; if the file was removed, and its content is lost, nothing counts as synced."""
         self._error = self._error or error
-        if not self._has_name():
-            self._synced = 0
+        with contextlib.suppress(OSError, ValueError):  # unknown, for instance after a disconnected disk
+            if not os.fstat(self._file.fileno()).st_nlink:
+                self._synced = 0
 
     def _next(self, sync_at: float | None) -> bytes | _Flush | None:
         """Return the next item, or None when a sync is due."""
@@ -543,19 +538,6 @@ class Journal:
             self._named = True
         if not os.path.samestat(os.fstat(self._file.fileno()), self.path.stat()):
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
-
-    def _has_name(self) -> bool:
-        """Return whether the file still has a name; without one its content is lost."""
-        try:
-            return os.fstat(self._file.fileno()).st_nlink > 0
-        except (OSError, ValueError):
-            return True  # unknown, for instance after a disconnected disk
-
-
-def _remove(path: Path) -> None:
-    """Remove a file; ignore a failure."""
-    with contextlib.suppress(OSError):
-        path.unlink()
 
 
 def lock(file: IO[bytes]) -> None:

@@ -58,6 +58,8 @@ HEAD_S = 1.0
 """Interval, s of samples, at which the journal repeats the header of the test, so that samples after a damage are
 readable.
 """
+_COPIES = 2
+"""Number of times that a header is written: one flipped bit must not lose a whole test."""
 _HEAD_SHARE = 0.1
 """Maximum share of the journal used by these repetitions."""
 _CALIBRATION = ("state", "static_file", "static_date", "sweep_file", "sweep_date")
@@ -135,7 +137,7 @@ class SessionRecorder:
                 "audit_head": "" if trail is None else trail.head,
             }
             self._sitting = encode_json(Entry.SITTING, sitting)
-            self.journal.append(_duplicated(self._sitting))
+            self.journal.append(_COPIES * self._sitting)
         except BaseException:
             self._discard()
             raise
@@ -188,7 +190,7 @@ class SessionRecorder:
         self._head = self._sitting + encode_json(Entry.TEST, entry | {"again": True})
         self._head_at = 0
         self._repeat_head_later()
-        self.journal.append(self._sitting + _duplicated(encode_json(Entry.TEST, entry)))
+        self.journal.append(self._sitting + _COPIES * encode_json(Entry.TEST, entry))
         return self.tests_begun
 
     def _repeat_head_later(self) -> None:
@@ -400,11 +402,6 @@ class SessionRecorder:
             if codes := codes_in(reason):
                 new["codes"] = sorted(codes)
             self.trail.note(what, subject=self._test(number), new=new)
-
-
-def _duplicated(entry: bytes) -> bytes:
-    """Return an entry twice: one flipped bit must not lose a whole test."""
-    return 2 * entry
 
 
 def _audit_values(device: DeviceDescription, subject: Subject) -> dict[str, str | float]:

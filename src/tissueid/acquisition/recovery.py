@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -460,10 +461,8 @@ def recover(
             raise UnusableInputError(words)
         else:
             again = Damage()
-            tests_again = _with_quality(
-                _tests(read_entries(journal, again), session.instrument, again), session.instrument
-            )
-            write_session(target, session, tests=tests_again)
+            tests_again = _tests(read_entries(journal, again), session.instrument, again)
+            write_session(target, session, tests=_with_quality(tests_again, session.instrument))
     for session_file in {target, journal.with_name(journal.name.removesuffix(".journal"))}:
         remove_leftovers(session_file)
     recovered = read_own_session(target) if written else read_session(target)
@@ -484,11 +483,9 @@ def recover(
 
 def _keep_damaged(journal: Path, damage: Damage) -> str:
     """Rename a damaged journal, so that it is not offered for recovery again; return a message about the damage."""
-    kept = journal.with_name(journal.name + ".damaged")
-    number = 1
-    while kept.exists():
-        number += 1
-        kept = journal.with_name(f"{journal.name}.damaged{number}")
+    names = (f"{journal.name}.damaged{number}" for number in itertools.count(2))
+    places = map(journal.with_name, itertools.chain([f"{journal.name}.damaged"], names))
+    kept = next(path for path in places if not path.exists())
     try:
         journal.rename(kept)
     except OSError:

@@ -123,8 +123,7 @@ def read_at_most(path: Path, most_bytes: int, too_large: Message) -> bytes:
 
 def _columns(path: Path, data: bytes) -> _Columns:
     found = _of_npy(path, data) if data.startswith(_NPY) or path.suffix.lower() == ".npy" else _of_text(path, data)
-    for values in filter(lambda column: column is not None, (found.times, found.values)):
-        assert values is not None
+    for values in (found.values,) if found.times is None else (found.times, found.values):
         if not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
             raise UnusableInputError(

@@ -225,11 +225,12 @@ def local_system(model: Model) -> LocalSystem | None:
     its decay is simulated.
     """
     if isinstance(model, DpnModel):
-        place = float(np.median(model.known.position))
-        here = np.array([place])
         known = model.known
+        place = float(np.median(known.position))
+        here = np.array([place])
         figures = [float(band.value[0]) for band in (known.mass(here), known.damping(here), known.stiffness(here))]
-        return LocalSystem(SecondOrder(*figures), _finite(known.log_covariance(place)))
+        covariance = known.log_covariance(place)
+        return LocalSystem(SecondOrder(*figures), covariance if np.isfinite(covariance).all() else None)
     fitted = getattr(model, "second_order", None)
     if not isinstance(fitted, SecondOrderFit):
         return None
@@ -252,10 +253,6 @@ def local_system(model: Model) -> LocalSystem | None:
 
 _DIRECT = frozenset({"lms", "spectral", "rls"})
 """Engines whose second-order system is that of the whole record, from force to position."""
-
-
-def _finite(covariance: Array) -> Array | None:
-    return covariance if np.isfinite(covariance).all() else None
 
 
 # -- uncertainty ------------------------------------------------------------------------------------------------
@@ -410,12 +407,10 @@ class DeviceReadings:
     def rows(self) -> list[tuple[Reading, Reading]]:
         """Return each reading of the recorded step and of the model, with a reason where a part is missing."""
         definitions = [one[0] for one in DEFINITIONS] + list(DECAY_DEFINITIONS)
-        recorded = [Reading(one, None, self.no_recorded) for one in definitions]
-        if self.recorded is not None:
-            recorded = [*self.recorded.step, *self.recorded.decay]
-        model = [Reading(one, None, self.no_model) for one in definitions]
-        if self.model is not None:
-            model = [*self.model.step, *self.model.decay]
+        recorded, model = (
+            [Reading(one, None, why) for one in definitions] if part is None else [*part.step, *part.decay]
+            for part, why in ((self.recorded, self.no_recorded), (self.model, self.no_model))
+        )
         return list(zip(recorded, model, strict=True))
 
     def as_answer(self) -> dict[str, Any]:
@@ -534,8 +529,9 @@ def device_readings(
     if recorded is None and model is None:
         raise UnusableInputError(no_recorded if test is not None else no_model if fit is not None else no_recorded)
     notes: list[str] = [NOT_COMPARABLE, *(() if model is None else model.notes)]
-    spring = max((spring_of(one.notes) for one in (test,) if one is not None), default=0.0)
-    spring = spring or (0.0 if analysis is None else analysis.external_spring_n_per_m)
+    spring = 0.0 if test is None else spring_of(test.notes)
+    if analysis is not None:
+        spring = spring or analysis.external_spring_n_per_m
     if spring:
         notes.append(
             Message("readings.spring", "all readings include the external spring of {spring:g} N/m", spring=spring)

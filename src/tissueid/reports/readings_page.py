@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissueid.analysis.curves.plot import CONFIDENCE, TIME, Array, Axis, Curve, Mark, Plot, thin
+from tissueid.analysis.curves.plot import CONFIDENCE, TIME, Array, Axis, Curve, Mark, Plot, banded, thin
 from tissueid.analysis.decay_readings import LocalSystem, Release
 from tissueid.analysis.device_readings import DeviceReadings, ModelReadings, RecordedReadings
 from tissueid.analysis.step_readings import NOT_COMPARABLE, POINTS, Reading, StepCourse, StepPoints
@@ -16,7 +16,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
-from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Picture, picture, template
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Picture, absent, picture, template
 from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.reports.tables import Table, readable_date
 from tissueid.sessions import Session
@@ -45,9 +45,12 @@ def step_plot(found: DeviceReadings) -> Plot:
     parts: list[Curve] = []
     points: StepPoints | None = None
     shown = (-_BEFORE_S, (course.cycles[0].end - course.cycles[0].rise) / course.sample_rate_hz)
-    if found.recorded is not None:
-        parts.append(_recorded(found.recorded, shown, scale))
-        points = found.recorded.points
+    recorded = found.recorded
+    if recorded is not None:
+        inside = (recorded.time_s >= shown[0]) & (recorded.time_s <= shown[1])
+        x, values = thin(recorded.time_s[inside], scale * recorded.displacement_m[inside])
+        parts.append(Curve(x, values, marked("recorded step"), "measured"))
+        points = recorded.points
     if found.model is not None:
         parts.append(_simulated(found.model, shown, scale))
         points = points or found.model.points
@@ -63,23 +66,12 @@ def recorded_step_plot(found: RecordedReadings) -> Plot:
     return step_plot(DeviceReadings(found, "", None, None, "", found.course, ()))
 
 
-def _recorded(found: RecordedReadings, shown: tuple[float, float], scale: float) -> Curve:
-    inside = (found.time_s >= shown[0]) & (found.time_s <= shown[1])
-    x, values = thin(found.time_s[inside], scale * found.displacement_m[inside])
-    return Curve(x, values, marked("recorded step"), "measured")
-
-
 def _simulated(model: ModelReadings, shown: tuple[float, float], scale: float) -> Curve:
     inside = np.flatnonzero((model.time_s >= shown[0]) & (model.time_s <= shown[1]))
     inside = inside[:: max(1, inside.size // 2000)]
+    half = None if model.std_m is None else CONFIDENCE * scale * model.std_m[inside]
     value = scale * model.response_m[inside]
-    name = marked("identified model")
-    if model.std_m is None:
-        return Curve(model.time_s[inside], value, name, "model")
-    reach = CONFIDENCE * scale * model.std_m[inside]
-    return Curve(
-        model.time_s[inside], value, name, "model", low=value - reach, high=value + reach, band=marked("95 % band")
-    )
+    return banded(model.time_s[inside], value, half, marked("identified model"), "model", band=marked("95 % band"))
 
 
 def _spans(
@@ -247,18 +239,15 @@ def decay_picture(found: DeviceReadings) -> Picture:
 
 def release_picture(key: str, found: RecordedReadings) -> Picture:
     """Return the figure of a recorded release."""
-
-    def make() -> Plot:
-        if found.release is None:
-            raise UnusableInputError(found.no_release)
-        return release_plot(found.release)
-
+    if found.release is None:
+        return absent(key, _("Recorded release"), found.no_release)
+    plot = release_plot(found.release)
     return picture(
         key,
         _("Recorded release"),
         _("Position after the release of the force: measured points and the fitted decay."),
         lambda: (
-            column_figure([make()], 3.0, wide=True),
+            column_figure([plot], 3.0, wide=True),
             _("From the time when the force has arrived. Line: damped oscillation with creep."),
         ),
     )

@@ -69,9 +69,11 @@ def check_contact(prepared: PreparedTest) -> Iterator[QualityFinding]:
         return
     if is_attached(test.notes):
         return
-    if test.kind == "spring" and _is_fixed_to_spring(prepared):
-        return
-    share = _share_without_force(prepared)
+    gone = prepared.known & (prepared.contact_force < LOST_FORCE_N)
+    if test.kind == "spring" and gone.any() and float(prepared.contact_force[gone].mean()) < -LOST_FORCE_N:
+        return  # the spring is fixed to the probe, and can pull as well as push
+    certain = longest_run(gone) >= max(1, round(LOST_S * prepared.rate))
+    share = float(gone.sum() / prepared.known.sum()) if certain else 0.0
     above = 0.0
     if np.isfinite(test.surface_position_m):
         position = prepared.stimulus("position")
@@ -87,21 +89,6 @@ def check_contact(prepared: PreparedTest) -> Iterator[QualityFinding]:
         texts.contact_advice,
         worst,
     )
-
-
-def _is_fixed_to_spring(prepared: PreparedTest) -> bool:
-    """Return whether a spring is fixed to the probe and can pull as well as push."""
-    gone = prepared.known & (prepared.contact_force < LOST_FORCE_N)
-    return bool(gone.any() and float(prepared.contact_force[gone].mean()) < -LOST_FORCE_N)
-
-
-def _share_without_force(prepared: PreparedTest) -> float:
-    """Return the share of the stimulus without contact force; 0 if every loss is too short to be certain."""
-    gone = prepared.known & (prepared.contact_force < LOST_FORCE_N)
-    least = max(1, round(LOST_S * prepared.rate))
-    if longest_run(gone) < least:
-        return 0.0
-    return float(gone.sum() / prepared.known.sum())
 
 
 def check_reference(prepared: PreparedTest) -> Iterator[QualityFinding]:
@@ -170,7 +157,14 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
     noise = (rest @ rest - gain[best]) / freedom
     size = float(rest @ candidates[:, best] / norm[best])
     sudden = best < steps.shape[1]
-    shift = size if sudden else _bounded_drift(size, at, common, y)
+    if sudden:
+        shift = size
+    else:
+        # In a few seconds a ramp and the creep (last column of ``common``) are nearly collinear: a breath gives both
+        # large and opposite amplitudes. The drift is therefore at most the range of the motion that both describe.
+        ramp = size * (at - at[0])
+        creep = common[:, -1] * float(np.linalg.lstsq(common, y - ramp, rcond=None)[0][-1])
+        shift = float(np.sign(size) * min(np.ptp(ramp), np.ptp(ramp + creep)))
     least = max(MOVED_M, MOVED_SHARE * float(np.std(prepared.position[part])))
     # Bonferroni correction: one test per block. Good tests are twenty times below this threshold.
     certain = gain[best] / noise > float(stats.f.isf(1e-4 / y.size, 1, freedom))
@@ -178,14 +172,6 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
         return None
     place_s = prepared.test.preload_s + float(at[3:-3][best] if sudden else at[0])
     return shift, place_s, sudden
-
-
-def _bounded_drift(rate: float, at: Array, common: Array, y: Array) -> float:
-    # In a few seconds a ramp and the creep (last column of ``common``) are nearly collinear: a breath gives both large
-    # and opposite amplitudes. The drift is therefore at most the range of the motion that both describe together.
-    ramp = rate * (at - at[0])
-    creep = common[:, -1] * float(np.linalg.lstsq(common, y - ramp, rcond=None)[0][-1])
-    return float(np.sign(rate) * min(np.ptp(ramp), np.ptp(ramp + creep)))
 
 
 def preload_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
