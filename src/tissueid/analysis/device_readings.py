@@ -40,7 +40,7 @@ from tissueid.analysis.step_readings import (
     step_readings,
 )
 from tissueid.configuration import spring_of
-from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model
 from tissueid.identification.engines.dpn import DpnModel
 from tissueid.identification.engines.wiener import WienerModel
@@ -94,7 +94,6 @@ def model_readings(
     draws: int = DRAWS,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-    cancelled: Callable[[], bool] | None = None,
 ) -> ModelReadings:
     """Compute the readings of a fitted model.
 
@@ -106,12 +105,10 @@ def model_readings(
         draws: number of refits or draws for the uncertainty; 0 for none.
         seed: of the random generator.
         progress: called with the number of draws done, and the total.
-        cancelled: called before each draw; the work ends if it returns True.
 
     Raises:
         UnusableInputError: the model does not relate force and position, has another sample rate, or cannot be
             simulated for this step.
-        CancelledError: ``cancelled`` returned True.
     """
     model, record = analysis.model, analysis.record
     if (record.input_unit, record.output_unit) != ("N", "m"):
@@ -126,7 +123,7 @@ def model_readings(
     reason: str = NO_UNCERTAINTY
     if draws >= 2:
         try:
-            found = _draws(analysis, engine, force, course, local is None, draws, seed, progress, cancelled)
+            found = _draws(analysis, engine, force, course, local is None, draws, seed, progress)
             found = found[np.isfinite(found[:, : response.size]).any(axis=1)]
             std = np.asarray(_from_rest(found[:, : response.size], course).std(axis=0, ddof=1))
             rows = np.array([read_points(row, course).values for row in found[:, : response.size]])
@@ -267,7 +264,6 @@ def _draws(
     draws: int,
     seed: int,
     progress: Callable[[int, int], None] | None,
-    cancelled: Callable[[], bool] | None,
 ) -> Array:
     """Return simulated steps, and the decay of each where it is simulated, of drawn models: (draws, n + 0 or 5)."""
 
@@ -277,13 +273,10 @@ def _draws(
 
     model = analysis.model
     if isinstance(model, DpnModel):
-        return _parametric_draws(model, statistic, draws, seed, progress, cancelled)
+        return _parametric_draws(model, statistic, draws, seed, progress)
     record, part = analysis.record, analysis.fit_part
     method: Method = "blocks" if record[part].valid.all() else "residuals"
-    bands = bootstrap(
-        engine, record, part, statistic, draws, seed, method=method, progress=progress, cancelled=cancelled
-    )
-    return bands.draws
+    return bootstrap(engine, record, part, statistic, draws, seed, method=method, progress=progress).draws
 
 
 def _parametric_draws(
@@ -292,13 +285,11 @@ def _parametric_draws(
     draws: int,
     seed: int,
     progress: Callable[[int, int], None] | None,
-    cancelled: Callable[[], bool] | None,
 ) -> Array:
     """Return the statistic of models whose coefficients are drawn from their covariance, shape (draws, k).
 
     Raises:
         UnusableInputError: the covariance is unknown.
-        CancelledError: ``cancelled`` returned True.
     """
     curves, covariance = model.known.curves, model.known.covariance
     if not np.isfinite(covariance).all():
@@ -306,8 +297,6 @@ def _parametric_draws(
     rng = np.random.Generator(np.random.PCG64(seed))
     rows = []
     for done, theta in enumerate(rng.multivariate_normal(curves.theta, covariance, draws, method="svd")):
-        if cancelled is not None and cancelled():
-            raise CancelledError(Message("readings.cancelled", "the readings were cancelled"))
         drawn = curves.with_theta(theta)
         known = replace(model.known, curves=drawn)
         rest = drawn.tables.rest(model.input_mean)
@@ -489,7 +478,6 @@ def device_readings(
     *,
     draws: int = DRAWS,
     progress: Callable[[int, int], None] | None = None,
-    cancelled: Callable[[], bool] | None = None,
 ) -> DeviceReadings:
     """Compute all readings that a step test and a fit give.
 
@@ -499,11 +487,9 @@ def device_readings(
         engine: specification of the model.
         draws: number of refits for the uncertainty of the model's step.
         progress: called with the number of draws done, and the total.
-        cancelled: called before each draw; the work ends if it returns True.
 
     Raises:
         UnusableInputError: neither the step nor the model gives readings.
-        CancelledError: ``cancelled`` returned True.
     """
     recorded: RecordedReadings | None = None
     no_recorded: str = NO_STEP_TEST
@@ -523,7 +509,7 @@ def device_readings(
             force = _standard_step(analysis) if recorded is None else _resampled(recorded.test, rate)
             played = find_steps(force, rate)
             course = course or played
-            model = model_readings(analysis, engine, force, played, draws=draws, progress=progress, cancelled=cancelled)
+            model = model_readings(analysis, engine, force, played, draws=draws, progress=progress)
         except UnusableInputError as error:
             no_model = error.message
     if recorded is None and model is None:

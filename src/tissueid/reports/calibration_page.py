@@ -328,9 +328,7 @@ def _region(calibration: Calibration) -> Region:
     for name in names:
         if name not in calibration.quantities:
             raise _incomplete(name)
-    believed = calibration.conditions.get("believed_force_constant_n_per_a")
-    low, high, plateau = (calibration.quantities[name].value for name in names)
-    return Region(low, high, plateau, believed if isinstance(believed, float) else None)
+    return Region(*(calibration.quantities[name].value for name in names))
 
 
 def _tables(calibration: Calibration, tables: Mapping[str, Columns], region: Region) -> Iterator[Table]:

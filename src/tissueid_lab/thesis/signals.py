@@ -66,7 +66,7 @@ def _swept(sessions: Mapping[str, Session]) -> Outcome:
     (session,) = sessions.values()
     found, tables = _analysed(session)
     low, high = found.region.min_m.value, found.region.max_m.value
-    region = Region(low, high, found.region.plateau_n_per_a.value, session.instrument.force_constant_n_per_a)
+    region = Region(low, high, found.region.plateau_n_per_a.value)
     sweep = tables["sweep"]
     inside = (sweep["position_m"] >= low) & (sweep["position_m"] <= high)
 

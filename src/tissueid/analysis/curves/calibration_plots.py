@@ -168,12 +168,11 @@ _PARAMETERS = (
 
 @dataclass(frozen=True)
 class Region:
-    """Linear region (m), its mean force constant, and the one that the instrument used before the sweep (N/A)."""
+    """Linear region (m), and its mean force constant (N/A)."""
 
     min_m: float
     max_m: float
     plateau_n_per_a: float
-    believed_n_per_a: float | None
 
     @property
     def shade(self) -> Curve:

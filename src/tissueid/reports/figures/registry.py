@@ -89,10 +89,6 @@ class FigureSubject(Generic[M_co]):
         """Output of the fitted part, (n,)."""
         return self.record.output[self.analysis.fit_part]
 
-    def with_model(self, model: M) -> FigureSubject[M]:
-        """Another model of the same record."""
-        return FigureSubject(self.name, model, self.analysis, self.surface_position_m)
-
 
 @dataclass(frozen=True)
 class Declared:
