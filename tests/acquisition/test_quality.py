@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from acquisition.simulated_tests import DEVICE, RATE, Desk, move, with_signal
 from coded import made, says
+from reports.in_german import in_german
 from support import connect
 
 from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
@@ -18,12 +19,11 @@ from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, j
 from tissueid.acquisition.quality.prepared_test import AIR, SPRING, TISSUE
 from tissueid.device import DeviceDescription
 from tissueid.instrument.replies import released_by_faults
-from tissueid.language import set_language
 from tissueid.messages import Message, translated
 from tissueid.sessions import Session, Test, read_session
 from tissueid.sessions.model import reason_notes
 from tissueid.sessions.quality import HEADLINES, worst_first
-from tissueid.stimuli.base import with_preload
+from tissueid.stimuli.base import Stimulus, with_preload
 from tissueid.stimuli.kinds.noise import Noise, SteppedNoise
 from tissueid.test_settings import TestSettings
 from tissueid.wire import Fault
@@ -38,6 +38,17 @@ def found(test, earlier=(), device=DEVICE):
 @pytest.fixture(scope="module")
 def good():
     return Desk().run()
+
+
+@pytest.fixture(scope="module")
+def long():
+    return Desk().run(with_preload(Noise(seed=4, seconds=4.0, sample_rate=RATE).build(), 0.5))
+
+
+@pytest.fixture(scope="module")
+def attached():
+    options = {"force_min_n": -5.0, "force_max_n": 5.0, "level_s": 0.5, "sample_rate": RATE}
+    return Desk("forearm-attached", surface_m=0.014).run(with_preload(SteppedNoise(**options).build(), 0.5))
 
 
 # -- good tests -------------------------------------------------------------------------------------------------
@@ -105,102 +116,60 @@ def lifting(desk):
     return desk.run(with_preload(noise.build(), 0.5))
 
 
-def jumping(desk):
-    return desk.run(hook=lambda bench, at: move(bench, 0.4e-3) if at == 4000 else None)
+def during(change):
+    """A test during which ``change`` is made to the bench at some samples."""
+    return lambda _good: Desk().run(hook=change)
 
 
-def drifting(desk):
-    return desk.run(hook=lambda bench, at: move(bench, 0.06e-3) if at >= 1000 else None)
+def added(name, values):
+    """A good test with values added to a signal."""
+    return lambda good: with_signal(good, name, good.signals[name] + values)
 
 
-def sticking(desk):
-    return desk.run(hook=lambda bench, at: bench.stuck.add("position") if at == 5000 else None)
+def noted(**notes):
+    return lambda good: replace(good, notes=notes)
 
 
-def cut(desk):
-    return desk.run(hook=lambda bench, at: setattr(bench, "coil_open", True))
+def losing(good):
+    signals = {name: np.where(PLACE // 400 == 10, np.nan, values) for name, values in good.signals.items()}
+    return replace(good, signals=signals)
 
 
-def sagging(desk):
-    return desk.run(hook=lambda bench, at: setattr(bench, "supply_share", 0.5))
+def aborted(good):
+    signals = {name: values[:1800] for name, values in good.signals.items()}
+    return replace(good, signals=signals, status="aborted", notes={"reason": "the button was pressed"})
 
 
-def noisy(desk):
-    test = desk.run()
-    random = np.random.default_rng(0)
-    return with_signal(test, "position", test.signals["position"] + 6e-5 * random.standard_normal(test.samples))
-
-
-def humming(desk, hertz):
-    test = desk.run()
-    hum = 2e-5 * np.sin(2 * np.pi * hertz * np.arange(test.samples) / RATE)
-    return with_signal(test, "position", test.signals["position"] + hum)
-
-
-def losing(desk):
-    test = desk.run()
-    signals = {name: np.where(np.arange(test.samples) // 400 == 10, np.nan, v) for name, v in test.signals.items()}
-    return replace(test, signals=signals)
-
-
-def knocked(desk):
-    test = desk.run()
-    return with_signal(test, "acceleration_y", test.signals["acceleration_y"] + 9.0 * (np.arange(test.samples) == 3000))
-
-
-def turned(desk):
-    return replace(desk.run(), notes={"gravity_along_stroke_m_s2": 9.2, "gravity_across_stroke_m_s2": 3.4})
-
-
-def at_the_end(desk):
-    return replace(desk.run(), notes={"limit_min_position_m": 3e-4, "limit_max_position_m": 0.0147})
-
-
-def warm(desk):
-    test = desk.run()
-    return with_signal(test, "temperature", test.signals["temperature"] + 45.0)
-
-
-def late(desk):
-    return replace(desk.run(), notes={"held_samples": 400.0})
-
-
-def full(desk):
-    return replace(desk.run(), notes={"saturated_samples": 20.0})
-
-
-def aborted(desk):
-    test = desk.run()
-    signals = {name: values[:1800] for name, values in test.signals.items()}
-    return replace(test, signals=signals, status="aborted", notes={"reason": "the button was pressed"})
-
-
-def hurried(desk):
-    return replace(desk.run(), preload_s=0.1)
-
-
+PLACE = np.arange(7000)
+TURNED = noted(gravity_along_stroke_m_s2=9.2, gravity_across_stroke_m_s2=3.4)
+JUMPING = during(lambda bench, at: move(bench, 0.4e-3) if at == 4000 else None)
+STICKING = during(lambda bench, at: bench.stuck.add("position") if at == 5000 else None)
+CUT = during(lambda bench, at: setattr(bench, "coil_open", True))
+SAGGING = during(lambda bench, at: setattr(bench, "supply_share", 0.5))
+NOISY = added("position", 6e-5 * np.random.default_rng(0).standard_normal(7000))
+AT_THE_END = noted(limit_min_position_m=3e-4, limit_max_position_m=0.0147)
 FAULTS = {
-    "probe_lifted": ("look", lifting, "probe_lifted", {}),
-    "reference_moved": ("look", jumping, "reference_moved.jump", {"size": 0.39, "seconds": 2.0}),
-    "sensor_stuck": ("repeat", sticking, "sensor_stuck", {"signal": "position"}),
-    "coil_open": ("repeat", cut, "coil_open", {}),
-    "saturated": ("repeat", sagging, "saturated.amplifier", {}),
-    "noisy_position": ("look", noisy, "noisy", {"signal": "position"}),
+    "probe_lifted": ("look", lambda _good: lifting(Desk()), "probe_lifted", {}),
+    "reference_moved": ("look", JUMPING, "reference_moved.jump", {"size": 0.39, "seconds": 2.0}),
+    "sensor_stuck": ("repeat", STICKING, "sensor_stuck", {"signal": "position"}),
+    "coil_open": ("repeat", CUT, "coil_open", {}),
+    "saturated": ("repeat", SAGGING, "saturated.amplifier", {}),
+    "noisy_position": ("look", NOISY, "noisy", {"signal": "position"}),
     "samples_lost": ("look", losing, "samples_lost", {"lost": 400, "samples": 7000, "gap": 200.0}),
-    "shock": ("look", knocked, "shock", {"seconds": 1.5}),
-    "orientation_changed": ("repeat", turned, "orientation_changed", {"degrees": 20.3}),
-    "end_of_stroke": ("look", at_the_end, "end_of_stroke.outer", {}),
-    "coil_warm": ("look", warm, "coil_warm", {}),
-    "setpoints_late": ("look", late, "setpoints_late", {"held": 400.0}),
+    "shock": ("look", added("acceleration_y", 9.0 * (PLACE == 3000)), "shock", {"seconds": 1.5}),
+    "orientation_changed": ("repeat", TURNED, "orientation_changed", {"degrees": 20.3}),
+    "end_of_stroke": ("look", AT_THE_END, "end_of_stroke.outer", {}),
+    "coil_warm": ("look", added("temperature", 45.0), "coil_warm", {}),
+    "setpoints_late": ("look", noted(held_samples=400.0), "setpoints_late", {"held": 400.0}),
     "ended_early": ("repeat", aborted, "ended_early", {"reason": "the button was pressed"}),
-    "preload_short": ("note", hurried, "preload_short", {"seconds": 0.1}),
+    "preload_short": ("note", lambda good: replace(good, preload_s=0.1), "preload_short", {"seconds": 0.1}),
 }
 
 
 @pytest.mark.parametrize("code", FAULTS)
-def test_a_fault_has_its_finding_in_both_languages(code):
+def test_a_fault_has_its_finding_in_both_languages(good, code):
     severity, spoil, message, values = FAULTS[code]
-    finding = found(spoil(Desk()))[code]
+    finding = found(spoil(good))[code]
     assert finding.severity == severity
     assert says(finding.words, f"quality.{message}")
     for name, value in values.items():
@@ -210,50 +179,42 @@ def test_a_fault_has_its_finding_in_both_languages(code):
     assert finding.words.endswith(".")
     assert finding.advice.endswith(".")
     assert finding.value is not None
-    set_language("de")
-    try:
-        assert translated(finding.words) != finding.words
-        assert translated(finding.advice) != finding.advice
-        assert "tissueid" not in translated(finding.advice)
-    finally:
-        set_language("en")
+    german = in_german(lambda: (translated(finding.words), translated(finding.advice)))
+    assert german[0] != finding.words
+    assert german[1] != finding.advice
+    assert "tissueid" not in german[1]
 
 
 def test_every_text_of_the_gate_is_translated():
-    set_language("de")
-    try:
-        for texts in (TISSUE, SPRING, AIR):
-            assert [text for text in vars(texts).values() if translated(text) == text] == []
-    finally:
-        set_language("en")
+    texts = {text for one in (TISSUE, SPRING, AIR) for text in vars(one).values()}
+    assert in_german(lambda: [text for text in texts if translated(text) == text]) == []
 
 
 def test_a_drift_is_distinguished_from_a_jump():
-    finding = found(drifting(Desk()))["reference_moved"]
+    drifting = during(lambda bench, at: move(bench, 0.06e-3) if at >= 1000 else None)
+    finding = found(drifting(None))["reference_moved"]
     assert says(finding.words, "quality.reference_moved.drift")
     assert finding.value == pytest.approx(0.72e-3, rel=0.15)
 
 
 @pytest.mark.parametrize("phase", [0.0, 1.57, 3.14, 4.71])
-def test_a_breath_is_no_drift_that_asks_for_a_repeat(phase):
-    test = Desk().run(with_preload(Noise(seed=4, seconds=4.0, sample_rate=RATE).build(), 0.5))
-    breath = 0.08e-3 * np.sin(2.0 * np.pi * 0.25 * np.arange(test.samples) / RATE + phase)
-    finding = found(with_signal(test, "position", test.signals["position"] + breath)).get("reference_moved")
+def test_a_breath_is_no_drift_that_asks_for_a_repeat(long, phase):
+    breath = added("position", 0.08e-3 * np.sin(2.0 * np.pi * 0.25 * np.arange(long.samples) / RATE + phase))
+    finding = found(breath(long)).get("reference_moved")
     assert finding is None or (finding.severity == "look" and finding.value < 0.25e-3)
 
 
 @pytest.mark.parametrize(("moved_m", "severity"), [(0.0, None), (0.8e-3, "repeat")])
-def test_pulling_stiffer_than_pushing_is_no_movement(moved_m, severity):
-    options = {"force_min_n": -5.0, "force_max_n": 5.0, "level_s": 0.5, "sample_rate": RATE}
-    test = Desk("forearm-attached", surface_m=0.014).run(with_preload(SteppedNoise(**options).build(), 0.5))
-    moved = np.where(np.arange(test.samples) < test.samples / 2, 0.0, moved_m)
-    finding = found(with_signal(test, "position", test.signals["position"] + moved)).get("reference_moved")
+def test_pulling_stiffer_than_pushing_is_no_movement(attached, moved_m, severity):
+    moved = added("position", np.where(np.arange(attached.samples) < attached.samples / 2, 0.0, moved_m))
+    finding = found(moved(attached)).get("reference_moved")
     assert (finding and finding.severity) == severity
 
 
 @pytest.mark.parametrize(("metres", "severity"), [(0.3e-3, "look"), (-0.3e-3, "look"), (-0.8e-3, "repeat")])
 def test_a_jump_during_the_preload_is_found(metres, severity):
-    finding = found(Desk().run(hook=lambda bench, at: move(bench, metres) if at == 500 else None))["reference_moved"]
+    jumping = during(lambda bench, at: move(bench, metres) if at == 500 else None)
+    finding = found(jumping(None))["reference_moved"]
     assert finding.severity == severity
     assert finding.value == pytest.approx(abs(metres), rel=0.15)
     assert says(finding.words, "quality.reference_moved.jump")
@@ -271,42 +232,36 @@ def test_creep_during_the_preload_is_no_movement(preload_s, creep_m):
     assert "reference_moved" not in found(crept)
 
 
-def test_a_preload_that_was_lost_or_stands_still_is_not_judged():
-    test = Desk().run()
-    place = np.arange(test.samples)
-    lost = with_signal(test, "position", np.where((place > 300) & (place < 500), np.nan, test.signals["position"]))
-    assert "reference_moved" not in found(lost)
-    still = with_signal(test, "position", np.full(test.samples, 0.0125))
+def test_a_preload_that_was_lost_or_stands_still_is_not_judged(good):
+    position = np.where((PLACE > 300) & (PLACE < 500), np.nan, good.signals["position"])
+    assert "reference_moved" not in found(with_signal(good, "position", position))
+    still = with_signal(good, "position", np.full(good.samples, 0.0125))
     assert {"reference_moved", "not_judged"}.isdisjoint(found(still))
 
 
-def test_the_orientation_is_that_of_what_was_received_last():
-    test = turned(Desk())
-    signals = {name: np.where(np.arange(test.samples) < 5000, v, np.nan) for name, v in test.signals.items()}
+def test_the_orientation_is_that_of_what_was_received_last(good):
+    test = TURNED(good)
+    signals = {name: np.where(PLACE < 5000, values, np.nan) for name, values in test.signals.items()}
     words = found(replace(test, signals=signals))["orientation_changed"].words
     assert words.values["degrees"] == pytest.approx(20.3, abs=0.3)
 
 
 @pytest.mark.parametrize("hertz", [50.0, 60.0, 100.0])
-def test_mains_are_named(hertz):
-    finding = found(humming(Desk(), hertz))["mains"]
-    assert says(finding.words, "quality.mains", hertz=hertz)
+def test_mains_are_named(good, hertz):
+    humming = added("position", 2e-5 * np.sin(2 * np.pi * hertz * PLACE / RATE))
+    assert says(found(humming(good))["mains"].words, "quality.mains", hertz=hertz)
 
 
-def test_a_multisine_is_not_taken_for_mains():
-    time_s = np.arange(7000) / RATE
+def test_a_multisine_is_not_taken_for_mains(good):
+    time_s = PLACE / RATE
     lines = sum(np.sin(2 * np.pi * hertz * time_s + hertz) for hertz in (10.0, 30.0, 50.0, 90.0, 110.0))
-    desk = Desk()
-    noise = desk.run().stimulus
-    from tissueid.stimuli.base import Stimulus
-
     values = np.where(time_s < 0.5, 5.0, 5.0 + lines)
-    played = desk.run(Stimulus(values, RATE, noise, 1, 2.0, preload_s=0.5))
+    played = Desk().run(Stimulus(values, RATE, good.stimulus, 1, 2.0, preload_s=0.5))
     assert "mains" not in found(played)
 
 
-def test_converters_at_their_end_are_counted():
-    assert found(full(Desk()))["saturated"].severity == "look"
+def test_converters_at_their_end_are_counted(good):
+    assert found(noted(saturated_samples=20.0)(good))["saturated"].severity == "look"
 
 
 def test_the_share_of_lost_contact_is_about_the_true_one():
@@ -327,8 +282,9 @@ def test_the_share_of_lost_contact_is_about_the_true_one():
 
 
 def test_a_glued_or_sliding_probe_cannot_lift():
+    test = lifting(Desk())
     for configuration in ("extension", "surface"):
-        assert "probe_lifted" not in found(replace(lifting(Desk()), configuration=configuration))
+        assert "probe_lifted" not in found(replace(test, configuration=configuration))
 
 
 # -- the calibration in force ------------------------------------------------------------------------------------
