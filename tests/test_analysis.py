@@ -22,8 +22,7 @@ from tissueid.analysis import (
     split,
     split_records,
 )
-from tissueid.analysis.fitting import timed_fit
-from tissueid.analysis.scoring import candidates, scored
+from tissueid.analysis.fitting import candidates, scored, timed_fit
 from tissueid.errors import UnusableInputError
 from tissueid.identification import Engine, Family, Model, aicc, engine_names, vaf_percent
 from tissueid.identification.engines.lms import Lms

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tissueid_lab.thesis.page import as_markdown
+from tissueid_lab.thesis.recipe import as_markdown
 
 FOLDER = Path(__file__).parents[1] / "docs" / "measured"
 _DIGEST = re.compile(r"^([0-9a-f]{12})[0-9a-f]{52}$")

@@ -10,8 +10,7 @@ from tissueid.analysis.comparison import (
     repeats,
     specifications,
 )
-from tissueid.analysis.fitting import Analysis, analyse, analyse_all, engines_of, fit_split
-from tissueid.analysis.scoring import Scored
+from tissueid.analysis.fitting import Analysis, Scored, analyse, analyse_all, engines_of, fit_split
 from tissueid.analysis.split import FIT_SHARE, Split, split, split_records
 
 __all__ = [

@@ -9,8 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.analysis.fitting import Analysis, fit_split, timed_fit
-from tissueid.analysis.scoring import Scored, candidates, effective_parameters, held_out_error, scored
+from tissueid.analysis.fitting import (
+    Analysis,
+    Scored,
+    candidates,
+    effective_parameters,
+    fit_split,
+    held_out_error,
+    scored,
+    timed_fit,
+)
 from tissueid.analysis.split import FIT_SHARE, Split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine

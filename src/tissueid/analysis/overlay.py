@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.analysis.fitting import Analysis, fit_split, fit_whole
-from tissueid.analysis.scoring import scheduled_scores
+from tissueid.analysis.fitting import Analysis, fit_split, fit_whole, scheduled_scores
 from tissueid.analysis.split import Split, split, split_records
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit

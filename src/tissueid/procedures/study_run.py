@@ -263,8 +263,7 @@ def _row(
 ) -> tuple[dict[str, Any], dict[str, float], list[SampledCurve]]:
     from tissueid.acquisition.quality import judge
     from tissueid.analysis.curves.samples import sampled_curves
-    from tissueid.analysis.fitting import fit_split, fit_whole
-    from tissueid.analysis.scoring import scheduled_scores
+    from tissueid.analysis.fitting import fit_split, fit_whole, scheduled_scores
     from tissueid.analysis.split import split
     from tissueid.identification import get_engine
     from tissueid.identification.base import NEGATIVE_MASS, PREDICTS_NOTHING

@@ -272,7 +272,7 @@ def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], 
         OSError: the disk is full or not writable.
     """
     from tissueid.version import SOFTWARE
-    from tissueid_lab.thesis.page import as_markdown, write_reproduction
+    from tissueid_lab.thesis.recipe import as_markdown, write_reproduction
 
     for one in made:
         if one.report is not None and one.report.pictures and not plan.quick:  # a quick run has them on its page

@@ -28,7 +28,7 @@ from tissueid.analysis.curves.validation import (
     prediction_plots,
     residual_test_plot,
 )
-from tissueid.analysis.scoring import effective_parameters
+from tissueid.analysis.fitting import effective_parameters
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, number
 from tissueid.identification import LineFigure, engine_label, engine_names, get_engine
