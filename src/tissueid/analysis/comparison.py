@@ -21,11 +21,10 @@ from tissueid.analysis.fitting import (
 )
 from tissueid.analysis.split import FIT_SHARE, Split
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine
-from tissueid.identification.candidates import ModelCandidate, difference
+from tissueid.identification.base import Array, Engine, Family
 from tissueid.identification.memory import MemoryEngine
-from tissueid.identification.model_family import Family
 from tissueid.identification.recommendation import Recommendation, beaten, recommend
+from tissueid.identification.recommendation_messages import ModelCandidate, difference
 from tissueid.identification.registry import engine_names, get_engine
 from tissueid.identification.validation.distortion import Distortion, distortion
 from tissueid.identification.validation.repeats import Ceiling, ceiling

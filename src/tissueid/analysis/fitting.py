@@ -11,13 +11,12 @@ from typing import Any, Protocol, Unpack, runtime_checkable
 import numpy as np
 from numba.core.event import install_timer
 
-from tissueid.analysis.split import NOMINAL_RELATIVE_STD, Actuator, Selection, Split, split
+from tissueid.analysis.split import NOMINAL_RELATIVE_STD, Actuator, Coil, Selection, Split, split
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FitReport, Mask, Model, refused_if_not_computed
-from tissueid.identification.candidates import ModelCandidate
+from tissueid.identification.base import Array, Engine, Family, FitReport, Mask, Model, refused_if_not_computed
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import scored_samples
+from tissueid.identification.recommendation_messages import ModelCandidate
 from tissueid.identification.registry import get_engine, report_engines
 from tissueid.identification.second_order import has_stiffness, profile_without_spring, without_spring
 from tissueid.identification.second_order_fit import SecondOrderFit

@@ -48,18 +48,12 @@ class Actuator:
     def of(cls, device: DeviceDescription) -> Actuator:
         """Return the actuator of a device, with the deviations of its sweep or of a nominal description."""
 
-        def value(name: str, number: float) -> Estimate:
-            std = device.calibration.get(f"{name}_std")
-            if isinstance(std, float) and math.isfinite(std):
-                return Estimate(number, std)
-            return Estimate(number, NOMINAL_RELATIVE_STD * abs(number))
-
         calibrated = all(
             f"{name}_std" in device.calibration for name in ("moving_mass_kg", "bearing_damping_n_s_per_m")
         )
         return cls(
-            value("moving_mass_kg", device.moving_mass_kg),
-            value("bearing_damping_n_s_per_m", device.bearing_damping_n_s_per_m),
+            _calibrated(device, "moving_mass_kg", NOMINAL_RELATIVE_STD),
+            _calibrated(device, "bearing_damping_n_s_per_m", NOMINAL_RELATIVE_STD),
             calibrated,
         )
 
@@ -86,6 +80,32 @@ class Actuator:
             damping=profile.damping - self.damping.value,
             damping_std=np.hypot(profile.damping_std, self.damping.std or 0.0),
         )
+
+
+@dataclass(frozen=True)
+class Coil:
+    """Resistance, ohm, and force constant, N/A, of the coil."""
+
+    resistance: Estimate
+    force_constant: Estimate
+
+    @classmethod
+    def of(cls, device: DeviceDescription) -> Coil | None:
+        """Return the coil of a device; None where the session does not hold its resistance or its force constant."""
+        relative_std = device.calibration_relative_uncertainty
+        figures = [
+            _calibrated(device, name, relative_std) for name in ("coil_resistance_ohm", "force_constant_n_per_a")
+        ]
+        return cls(*figures) if all(figure.value > 0.0 for figure in figures) else None
+
+
+def _calibrated(device: DeviceDescription, name: str, relative_std: float) -> Estimate:
+    """Return a figure of a device with the deviation of its calibration, or else a relative one; None if NaN."""
+    number = getattr(device, name)
+    std = device.calibration.get(f"{name}_std")
+    if isinstance(std, float) and math.isfinite(std):
+        return Estimate(number, std)
+    return Estimate(number, relative_std * abs(number) if math.isfinite(relative_std) else None)
 
 
 QUARTERS = 4

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import FigureBase
 
 from tissueid.formatting import fixed, label_and_unit, number, share_text, subject_text, with_unit
 from tissueid.gap.answer import content_of
 from tissueid.gap.decision import Candidate
 from tissueid.gap.diagnosis import Diagnosis, Ranked, effect_in, parameters_of
 from tissueid.gap.diagnosis_plots import history_plot
-from tissueid.gap.history import GapHistory, history_headline
-from tissueid.gap.scoring import Candidate
 from tissueid.gap.statement import (
     GapHistory,
     GapHistoryEntry,
@@ -326,9 +325,13 @@ def history_panel(history: GapHistory) -> Panel:
         _("Gap over time"),
         _("Gap and noise floor of {count} sessions in order of time.").format(count=len(history.entries)),
         _("The vertical line marks the first session in which the gap is more than noise."),
-        lambda figure: draw_plot(figure.subplots(1, 1), history_plot(history), title=False),
+        lambda figure: _draw(figure, history),
         height=3.0,
     )
+
+
+def _draw(figure: FigureBase, history: GapHistory) -> None:
+    draw_plot(figure.subplots(1, 1), history_plot(history), title=False)
 
 
 def _rows(history: GapHistory) -> Iterator[Row]:
@@ -338,6 +341,10 @@ def _rows(history: GapHistory) -> Iterator[Row]:
             yield entry.file, date, MISSING, MISSING, translated(entry.reason)
             continue
         gap, floor = (number(100.0 * entry.gap(name), 3) for name in ("before", "floor"))
-        causes = joined([effect_title(name) for name in entry.combination])
-        result = causes if entry.combination else _VERDICTS[entry.answer["verdict"]]
-        yield entry.file, date, gap, floor, translated(result)
+        yield entry.file, date, gap, floor, translated(_result(entry))
+
+
+def _result(entry: GapHistoryEntry) -> str:
+    if entry.answer is not None and not entry.combination:
+        return _VERDICTS[entry.answer["verdict"]]
+    return joined([effect_title(name) for name in entry.combination])

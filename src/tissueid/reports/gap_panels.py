@@ -119,26 +119,9 @@ def _link(axes: Axes, start: tuple[float, float], end: tuple[float, float], *, b
 _LISTED = 8
 
 
-_MORE_PROFILES = (
-    ("current_a", "current", marked("By current"), marked("The same against the current of the coil.")),
-    (
-        "amplitude_n",
-        "amplitude",
-        marked("By the amplitude of the stimulus"),
-        marked("The same against the root mean square of what was played in the last tenth of a second, as a force."),
-    ),
-    (
-        "mains_phase_rad",
-        "mains",
-        marked("By the phase of the mains"),
-        marked("The same against the phase of the mains from the start of the test: the mains shows in what is left."),
-    ),
-)
-"""Profiles along what not every test has: key, name, heading and caption."""
-
-
-def gap_panels(found: Diagnosis) -> Iterator[Panel]:
-    """All pictures of a diagnosis."""
+def gap_panels(found: Diagnosis, content: DiagnosisContent | None = None) -> Iterator[Panel]:
+    """All pictures of a diagnosis with its content."""
+    content = content or content_of(found)
     regions = found.where.regions
     yield Panel(
         "chain",
@@ -216,17 +199,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         wide=False,
         height=3.2,
     )
-    for name, key, heading, caption in _MORE_PROFILES:
-        if name in regions.profiles:
-            yield Panel(
-                key,
-                _(heading),
-                _("Error of {channel}, {heading}, and the noise.").format(channel=of, heading=_(heading)),
-                _(caption),
-                partial(draw_profile, found=found, name=name),
-                wide=False,
-                height=2.9,
-            )
+    yield from _more_profiles(content, regions.mains_hz, of)
     if candidates := ordered_candidates(found):
         yield Panel(
             "ranking",
@@ -263,7 +236,37 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
     )
 
 
-def draw_spectrum(figure: FigureBase, found: Diagnosis) -> None:
+def _more_profiles(content: DiagnosisContent, mains_hz: float, of: str) -> Iterator[Panel]:
+    """Along what not every test has: a current, a stimulus whose size changes, the mains."""
+    where = (
+        ("current_a", "current", _("By current"), _("The same against the current of the coil.")),
+        (
+            "amplitude_n",
+            "amplitude",
+            _("By the amplitude of the stimulus"),
+            _("The same against the root mean square of what was played in the last tenth of a second, as a force."),
+        ),
+        (
+            "mains_phase_rad",
+            "mains",
+            _("By the phase of the mains"),
+            _("The same against the phase of the mains from the start of the test: the mains shows in what is left."),
+        ),
+    )
+    for name, key, heading, caption in where:
+        if name in content.profiles:
+            yield Panel(
+                key,
+                heading,
+                _("Error of {channel}, {heading}, and the noise.").format(channel=of, heading=heading),
+                caption,
+                partial(draw_profile, content=content, name=name, mains_hz=mains_hz),
+                wide=False,
+                height=2.9,
+            )
+
+
+def draw_spectrum(figure: FigureBase, content: DiagnosisContent) -> None:
     """Amplitude densities of a residual and its parts."""
     assert content.spectrum is not None
     draw_plot(figure.subplots(1, 1), spectrum_plot(content.spectrum), title=False)
