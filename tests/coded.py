@@ -10,8 +10,10 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
+import pytest
+
 from tissueid import messages
-from tissueid.errors import TissueIDError
+from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.language import ENGLISH, _, current_language, set_language
 from tissueid.messages import Message, code_of, messages_in, translated
 
@@ -172,3 +174,9 @@ def made(code: str, /, **values: Any) -> Message:
         if {name for _literal, name, _spec, _conversion in Formatter().parse(template) if name} == set(values)
     )
     return Message(code, template, **values)
+
+
+def refused(call: Callable[[], object], code: str, /, **values: Any) -> None:
+    """Assert that a call raises ``UnusableInputError`` with this code and, among others, these values."""
+    with pytest.raises(UnusableInputError, check=coded(code, **values)):
+        call()

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from tissueid.records import Record
+from tissueid.records import Estimate, Record
 
 Array = NDArray[np.float64]
 
@@ -96,3 +100,17 @@ def thesis_wiener(seed: int, *, gain: float = 1.0, offset: float = -0.1, steps: 
             place, speed = place + step * speed, speed + step * pull
     position = 0.007 * (1.0 - np.exp(-0.2 * load))
     return Record(force[100:], position[100:], rate)
+
+
+def changed(values: Array, *changes: tuple[Any, Any]) -> Array:
+    """A copy with other values at some indices: ``changed(u, (3, np.nan), (np.s_[5:9], 0.0))``."""
+    values = values.copy()
+    for index, value in changes:
+        values[index] = value
+    return values
+
+
+def near(parameters: Mapping[str, Estimate], rel: float, **expected: float) -> None:
+    """Assert that parameters have these values within a relative tolerance."""
+    for name, value in expected.items():
+        assert parameters[name].value == pytest.approx(value, rel=rel), name

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from identification.simulated import Array, generator, noise
+from identification.simulated import Array, changed, generator, noise
 from scipy import signal
 
 RATE = 2000.0
@@ -72,6 +74,34 @@ def polynomial(
         y = y + noise(generator(*seed, 1), y, snr_db, colour)
     used = np.arange(n) >= taps.size - 1
     return Known(x, y + 5.0, used, h, second, third)
+
+
+def with_gap(known: Known, first: int) -> Known:
+    """The same with ten samples missing, and the memory after them not used."""
+    gap = np.s_[first : first + 10], np.nan
+    used = changed(known.used, (np.s_[first : first + 10 + known.kernel1.size - 1], False))
+    return replace(known, x=changed(known.x, gap), y=changed(known.y, gap), used=used)
+
+
+def covered(fit: Callable[[Known], tuple[Array, ...]], runs: int, *seed: int, **options: Any) -> Array:
+    """Shares of the lags of both kernels whose 95 % interval holds them, over records of one kind, (2,).
+
+    ``fit`` returns kernels and standard deviations: first, second, std of the first, std of the second.
+    """
+    upper = np.triu_indices(LAGS)
+    inside = []
+    for run in range(runs):
+        known = polynomial(*seed, run, **options)
+        first, second, first_std, second_std = fit(known)
+        near = np.abs(second - known.kernel2) < 1.96 * second_std
+        inside.append((np.mean(np.abs(first - known.kernel1) < 1.96 * first_std), near[upper].mean()))
+    return np.mean(inside, axis=0)
+
+
+def matern(at: Array, std: float, decay: float, rate: float) -> Array:
+    """Covariance of a decaying smooth curve at some places (n,), (n, n)."""
+    reach = rate * np.abs(at[:, None] - at)
+    return std**2 * np.exp(-decay * (at[:, None] + at)) * (1.0 + reach) * np.exp(-reach)
 
 
 def third_order_output(kernel: Array, x: Array, spacing: int) -> Array:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from coded import coded, says
+from coded import refused, says
 from identification import simulated
 from scipy import signal
 
-from tissueid.errors import UnusableInputError
 from tissueid.identification import validated
 from tissueid.identification.engines.als import Als
 from tissueid.identification.engines.lms import Lms
@@ -104,10 +103,7 @@ def test_it_follows_a_system_that_changes_and_says_what_is_no_free_run(record: R
     model = validated(Als().fit(record, slice(0, 6000)), record, slice(6000, None))
     line = validated(Lms().fit(record, slice(0, 6000)), record, slice(6000, None)).report
     report = model.report
-    assert report.vaf_validation_percent is not None
-    assert line.vaf_validation_percent is not None
     assert line.vaf_validation_percent - 3.0 < report.vaf_validation_percent < 99.0
-    assert report.vaf_scheduled_percent is not None
     assert report.vaf_scheduled_percent > report.vaf_validation_percent  # the curve bends, so the depth helps
     assert report.parameters["stiffness_n_per_m"].std is not None
     gained = Als(step=0.9).fit(record, slice(0, 6000)).report.details["vaf_tracking_percent"]
@@ -143,19 +139,16 @@ def test_records_are_fitted_together_and_nothing_reaches_across():
 
 @pytest.mark.parametrize("factor", [0.07, 0.5])
 def test_a_change_factor_beyond_the_bound_is_refused(factor: float):
-    with pytest.raises(UnusableInputError, check=coded("als.unstable_factor", factor=factor)):
-        Als(memory=0.03, change_factor=factor).fit(broadband(87))
+    refused(lambda: Als(memory=0.03, change_factor=factor).fit(broadband(87)), "als.unstable_factor", factor=factor)
 
 
 def test_a_step_of_two_is_no_option():
-    with pytest.raises(UnusableInputError, check=coded("option.refused", option="step")):
-        Als.from_options({"step": 2.0})
+    refused(lambda: Als.from_options({"step": 2.0}), "option.refused", option="step")
 
 
 def test_without_an_operating_point_the_means_are_found_under_way():
     record = broadband(90, n=6000)
-    y = record.output.copy()
-    y[:50] = np.nan
+    y = simulated.changed(record.output, (np.s_[:50], np.nan))
     live = Als(memory=0.03).start(1000.0)
     errors = live.batch(record.input, y)
     assert np.std(errors[-1000:]) < 0.15 * np.std(record.output)
@@ -173,7 +166,6 @@ def test_running_away_is_noticed_live_and_the_last_good_response_kept():
     assert live.warning is None
     good = live.impulse_response
     errors = live.batch(u[2000:], y[2000:])
-    assert live.warning is not None
     assert says(live.warning, "als.diverged", which="change_factor", step=0.03)
     assert "\n" not in live.warning
     assert np.linalg.norm(live.impulse_response - good) < 0.3 * np.linalg.norm(good)
@@ -186,8 +178,7 @@ def test_running_away_within_a_record_is_refused():
     record = broadband(88, 1, n=3000)
     louder = np.where(np.arange(3000) < 2000, 0.05, 4.0)  # on average the step is below the bound
     loud = Record(louder * (record.input - 2.0), louder * (record.output - 7.0), 1000.0)
-    with pytest.raises(UnusableInputError, check=coded("als.diverged", which="change_factor", step=0.012)):
-        Als(memory=0.03, change_factor=0.012).fit(loud)
+    refused(lambda: Als(memory=0.03, change_factor=0.012).fit(loud), "als.diverged", which="change_factor", step=0.012)
 
 
 def test_a_look_changes_nothing():

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from coded import Refusal, coded, codes, says
+from coded import Refusal, codes, refused, says
 from identification import simulated_blocks
+from identification.simulated import changed
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification import validated
@@ -53,7 +54,6 @@ def test_every_structure_is_recovered_and_simulates_held_out_samples_to_the_nois
     assert model.choice is None
     clean = simulated.clean[4500:]
     assert np.var(clean - model.simulate(simulated.record.input)[4500:]) / np.var(clean) < 5e-4
-    assert model.report.vaf_validation_percent is not None
     assert model.report.vaf_validation_percent > 99.8  # the noise is 0.1 %
     dynamics = model.first_kernel if model.second_kernel is None else model.second_kernel
     assert _apart(dynamics / dynamics.sum(), simulated_blocks.kernel(LAGS)) < (0.15 if name == "lnl" else 0.03)
@@ -62,7 +62,6 @@ def test_every_structure_is_recovered_and_simulates_held_out_samples_to_the_nois
 @pytest.mark.parametrize("system", [*simulated_blocks.BLOCKS, "dpn"])
 def test_the_record_names_its_own_structure_and_a_dpn_system_is_given_no_name(system: str):
     _, model = _fit(system, 81, n=3000)
-    assert model.choice is not None
     finding = model.report.findings[0]
     if system == "dpn":
         assert not model.choice.confident
@@ -81,7 +80,6 @@ def test_noise_takes_names_away_and_gives_no_wrong_ones():
     for seed in range(2):
         simulated = simulated_blocks.simulate("wiener exponential", 82, seed, n=1000, snr_db=-6.0)
         model = Cascade(memory=MEMORY).fit(simulated.record)
-        assert model.choice is not None
         said.append(model.structure if model.choice.confident else "no name")
     assert set(said) <= {"no name", "linear", "wiener"}
     assert "linear" in said
@@ -132,7 +130,6 @@ def test_mass_damping_and_stiffness_are_those_at_the_mean_input():
         }
         for name, value in truth.items():
             estimate = model.report.parameters[name]
-            assert estimate.std is not None
             assert abs(estimate.value - value) < 3.5 * estimate.std, (system, name)
             assert estimate.value == pytest.approx(value, rel=0.02)
 
@@ -174,9 +171,9 @@ def test_richer_structures_are_never_worse_in_sample():
 @pytest.mark.parametrize("structure", ["wiener", "lnl"])
 def test_gaps_leave_their_memory_unknown_and_joined_records_stay_apart(structure: str):
     simulated = simulated_blocks.simulate("wiener exponential", 88, n=3000)
-    u, y = simulated.record.input.copy(), simulated.record.output.copy()
-    u[1500:1503] = np.nan
-    y[1503:1600] = 0.0  # within the memory of what was not received: not looked at
+    # within the memory of what was not received: not looked at
+    u = changed(simulated.record.input, (np.s_[1500:1503], np.nan))
+    y = changed(simulated.record.output, (np.s_[1503:1600], 0.0))
     engine = Cascade.from_options({"memory": MEMORY, "structure": structure})
     model = engine.fit(Record(u, y, 2000.0))
     whole = 2 * LAGS - 1 if structure == "lnl" else LAGS
@@ -241,22 +238,19 @@ def test_an_input_of_two_values_leaves_out_the_structures_that_begin_with_a_curv
     model = Cascade(memory=0.03).fit(record)
     assert model.structure == "linear"
     assert "cascade.not_tried" in codes(model.report.warnings)
-    with pytest.raises(UnusableInputError, check=coded("hammerstein.few_levels", levels=2)):
-        Cascade(memory=0.03, structure="nln").fit(record)
+    refused(lambda: Cascade(memory=0.03, structure="nln").fit(record), "hammerstein.few_levels", levels=2)
 
 
 def test_a_record_that_answers_nothing_is_given_no_name():
     rng = simulated_blocks.generator(94)
     record = Record(rng.standard_normal(1000), rng.standard_normal(1000), 2000.0)
     model = Cascade(memory=0.01).fit(record)
-    assert model.choice is not None
     assert not model.choice.confident
     assert code_of(model.report.findings[0]) == "cascade.nothing_explained"
 
 
 def test_bad_options_are_told():
-    with pytest.raises(UnusableInputError, check=coded("option.refused", option="structure")):
-        Cascade.from_options({"structure": "nlnl"})
+    refused(lambda: Cascade.from_options({"structure": "nlnl"}), "option.refused", option="structure")
 
 
 @pytest.mark.soak
@@ -269,7 +263,6 @@ def test_names_over_20_seeds(snr_db: float, colour: float):
         for run_number in range(20):
             record = simulated_blocks.simulate(system, 92, run_number, snr_db=snr_db, colour=colour, n=N).record
             model = Cascade(memory=MEMORY).fit(record)
-            assert model.choice is not None
             said[model.structure if model.choice.confident else "no name"] += 1
         right = "no name" if system == "dpn" else simulated_blocks.true_name(system)
         print(system, snr_db, colour, dict(said))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 import pytest
-from coded import coded
+from coded import refused
 from plugged import Plugin, plugged_in
 
 from tissueid.errors import UnusableInputError
@@ -38,8 +38,7 @@ def test_built_in_engines_are_found():
 
 
 def test_an_unknown_name_lists_those_there_are():
-    with pytest.raises(UnusableInputError, check=coded("registry.unknown_name", name="lsm")) as refused:
-        get_engine("lsm")
+    refused(lambda: get_engine("lsm"), "registry.unknown_name", name="lsm")
     assert {"lms", "wiener"} <= set(refused.value.message.values["names"].items)
 
 

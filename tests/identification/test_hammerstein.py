@@ -6,8 +6,9 @@ import json
 
 import numpy as np
 import pytest
-from coded import Refusal, coded, codes
+from coded import Refusal, codes, refused
 from identification import simulated_blocks
+from identification.simulated import changed
 from scipy import stats
 
 from tissueid.errors import UnusableInputError
@@ -52,7 +53,6 @@ def test_an_exponential_before_the_dynamics_is_recovered(bent: simulated_blocks.
     clean = bent.clean[HELD_OUT]
     missed = np.var(clean - model.simulate(bent.record.input)[HELD_OUT]) / np.var(clean)
     assert missed < 1e-4
-    assert model.report.vaf_validation_percent is not None
     assert model.report.vaf_validation_percent > 99.8  # the noise is 0.1 %
 
 
@@ -84,7 +84,6 @@ def test_a_square_is_found_though_it_turns_back_and_hides_its_linear_part(
     force = np.linspace(-5.0, 5.0, 50)
     truth = 1e-3 * (force**2 - model.input_mean**2)
     np.testing.assert_allclose(model.nonlinearity(force), truth, atol=0.01 * np.ptp(truth))
-    assert model.report.vaf_validation_percent is not None
     assert model.report.vaf_validation_percent > 99.8
     assert "hammerstein.not_monotone" in codes(model.report.findings)
     assert "hammerstein.flat" in codes(model.report.warnings)
@@ -129,9 +128,9 @@ def test_a_kernel_without_steady_gain_is_normalised_by_its_size():
 
 def test_gaps_are_skipped_and_joined_records_stay_apart(bent: simulated_blocks.Simulated):
     record = bent.record
-    u, y = record.input.copy(), record.output.copy()
-    u[3000:3007] = np.nan
-    y[3007:3200] = 0.0  # within the memory of what was not received: not looked at
+    # within the memory of what was not received: not looked at
+    u = changed(record.input, (np.s_[3000:3007], np.nan))
+    y = changed(record.output, (np.s_[3007:3200], 0.0))
     holed = Hammerstein().fit(Record(u, y, record.sample_rate_hz))
     assert holed.report.n_samples == 8000 - 249 - 7 - 249
     assert _apart(holed.kernel, simulated_blocks.kernel(LAGS)) < 0.02
@@ -189,8 +188,7 @@ def test_an_input_of_two_values_determines_no_curve():
     rng = simulated_blocks.generator(8)
     u = np.sign(rng.standard_normal(3000))
     record = Record(u, np.convolve(u, np.exp(-np.arange(40) / 8.0))[:3000], 2000.0)
-    with pytest.raises(UnusableInputError, check=coded("hammerstein.few_levels", levels=2, coefficients=6)):
-        Hammerstein(memory=0.03).fit(record)
+    refused(lambda: Hammerstein(memory=0.03).fit(record), "hammerstein.few_levels", levels=2, coefficients=6)
     straight = Hammerstein(memory=0.03, degree=1).fit(record).report
     assert straight.vaf_percent > 99.9
     assert "hammerstein.straight" in codes(straight.findings)
@@ -219,7 +217,6 @@ def _coverage(runs: int, form: str, colour: float) -> dict[str, float]:
             truth |= {"c1_m": simulated_blocks.C1, "c2_per_n": simulated_blocks.C2, "offset_m": 0.01}
         for name, value in truth.items():
             estimate = model.report.parameters[name]
-            assert estimate.std is not None
             inside.setdefault(name, []).append(abs(estimate.value - value) < 1.96 * estimate.std)
         near = np.abs(model.kernel - truth_kernel) < 1.96 * model.kernel_std
         inside.setdefault("kernel, first 60 lags", []).append(float(np.mean(near[:60])))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from coded import coded, says
+from coded import refused, says
 from identification import simulated, simulated_dpn, simulated_stepped
 
-from tissueid.errors import UnusableInputError
 from tissueid.identification import vaf_percent
 from tissueid.identification.engines.localized import Localized, LocalizedModel
 from tissueid.records import Record, joined
@@ -61,8 +60,7 @@ def test_the_free_run_goes_from_level_to_level(model: LocalizedModel, staircase:
     assert model.report.vaf_percent > 99.5
     output = model.simulate(np.full(1000, model.input_mean))
     np.testing.assert_allclose(output, output[0], rtol=0, atol=1e-9)
-    u = staircase.input.copy()
-    u[3000] = np.nan
+    u = simulated.changed(staircase.input, (3000, np.nan))
     unknown = np.flatnonzero(np.isnan(model.simulate(u)))
     np.testing.assert_array_equal(unknown, np.arange(3000, 3000 + model.memory_samples))
     larger = simulated_stepped.staircase(2, noise=0.6)
@@ -90,10 +88,10 @@ def test_records_joined_are_levels_of_their_own():
 
 
 def test_a_record_without_steps_is_refused():
-    with pytest.raises(UnusableInputError, check=coded("localized.no_levels")):
-        Localized().fit(simulated_dpn.record(simulated_dpn.SKIN, 1))
+    refused(lambda: Localized().fit(simulated_dpn.record(simulated_dpn.SKIN, 1)), "localized.no_levels")
 
 
 def test_levels_too_short_for_the_memory_are_refused(staircase: Record):
-    with pytest.raises(UnusableInputError, check=coded("localized.too_few_levels")):
-        Localized(memory=0.32, levels=(2.0, 3.0, 4.0, 5.0, 6.0, 7.0)).fit(staircase)
+    refused(
+        lambda: Localized(memory=0.32, levels=(2.0, 3.0, 4.0, 5.0, 6.0, 7.0)).fit(staircase), "localized.too_few_levels"
+    )

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from coded import Refusal, coded
+from coded import Refusal, refused
 from identification import simulated
 from pydantic import ValidationError
 
@@ -43,10 +43,8 @@ def test_it_grows_with_the_record_and_holds():
 
 def test_too_little_is_refused():
     record = simulated.linear_record(183)
-    with pytest.raises(UnusableInputError, check=coded("record.shorter_than_memory")):
-        precision(record[:200])
-    with pytest.raises(UnusableInputError, check=coded("record.constant")):
-        precision(Record(np.full(2000, 3.0), np.zeros(2000), 2000.0))
+    refused(lambda: precision(record[:200]), "record.shorter_than_memory")
+    refused(lambda: precision(Record(np.full(2000, 3.0), np.zeros(2000), 2000.0)), "record.constant")
 
 
 def look(seconds: float, **relative_std: float) -> Precision:

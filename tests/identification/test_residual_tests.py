@@ -7,12 +7,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-from coded import coded, codes
+from coded import codes, refused
 from identification import simulated
 from identification import simulated_validation as systems
 from scipy import signal
 
-from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.wiener import Wiener
 from tissueid.identification.validation.residual_tests import MEANINGS, ResidualTests, residual_tests
@@ -37,7 +36,6 @@ def rejections(runs: int, fitted: int, held_out: int, low_pass: bool, pole: floa
         record = systems.record(*seed, n=fitted + held_out, low_pass=low_pass, pole=pole)
         model = systems.PlainFir().fit(record, slice(0, fitted))
         for test in residual_tests(model, record, slice(fitted, None)).tests:
-            assert test.passed is not None
             found[test.name].append(not test.passed)
     return found
 
@@ -213,11 +211,10 @@ def test_results_are_the_same_every_time():
 def test_refusals_are_one_line():
     record = systems.record(76)
     model = systems.PlainFir().fit(record, FITTED)
-    with pytest.raises(UnusableInputError, check=coded("residuals.too_few", samples=40)):
-        residual_tests(model, record, slice(5900, None))
-    with pytest.raises(UnusableInputError, check=coded("residuals.no_schedule")):
-        residual_tests(model, record, HELD_OUT, scheduled=True)
-    with pytest.raises(UnusableInputError, check=coded("engine.other_sample_rate")):
-        residual_tests(model, replace(record, sample_rate_hz=500.0), HELD_OUT)
-    with pytest.raises(UnusableInputError, check=coded("noise_model.constant")):
-        residual_tests(model, replace(record, output=model.simulate(record.input)), HELD_OUT)
+    refused(lambda: residual_tests(model, record, slice(5900, None)), "residuals.too_few", samples=40)
+    refused(lambda: residual_tests(model, record, HELD_OUT, scheduled=True), "residuals.no_schedule")
+    refused(lambda: residual_tests(model, replace(record, sample_rate_hz=500.0), HELD_OUT), "engine.other_sample_rate")
+    refused(
+        lambda: residual_tests(model, replace(record, output=model.simulate(record.input)), HELD_OUT),
+        "noise_model.constant",
+    )
