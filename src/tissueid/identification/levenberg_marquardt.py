@@ -7,6 +7,7 @@ problem recomputes them when a step fails or gains little.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
@@ -43,17 +44,20 @@ P = TypeVar("P", bound=Point)
 E = TypeVar("E")
 
 
-class Problem(Protocol[P]):
+class Problem(ABC, Generic[P]):
     """A cost to minimise: a sum of squares, with priors where there are any."""
 
+    @abstractmethod
     def linearised(self, at: P) -> tuple[Array, Array]:
         """Return the Gauss-Newton matrix (p, p) and minus half the gradient (p,) at a point."""
 
+    @abstractmethod
     def attempt(self, at: P, step: Array) -> P | None:
         """Return the point after a step (p,); None if it cannot be evaluated."""
 
     def refresh(self, at: P) -> bool:
-        """Recompute approximate slopes at a point. Return False if they were exact already."""
+        """Recompute approximate slopes at a point. Return False if they were exact already, which is the default."""
+        return False
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,14 @@ class ErrorPoint:
     cost: float
 
 
+class ErrorProblem(Problem[ErrorPoint]):
+    """A sum of squared errors whose derivatives are known at every point."""
+
+    def linearised(self, at: ErrorPoint) -> tuple[Array, Array]:
+        """Return the Gauss-Newton matrix and the descent."""
+        return at.slopes.T @ at.slopes, at.slopes.T @ at.error
+
+
 @dataclass(frozen=True, eq=False)
 class SecantPoint(Generic[E]):
     """Parameters (p,) with their residuals (m,), what was evaluated with them, and the cost."""
@@ -143,7 +155,7 @@ class SecantPoint(Generic[E]):
     cost: float
 
 
-class SecantProblem(Generic[E]):
+class SecantProblem(Problem[SecantPoint[E]], Generic[E]):
     """Squared residuals and normal priors; the Jacobian is updated by secants where these suffice (Broyden 1965).
 
     Args:

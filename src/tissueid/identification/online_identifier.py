@@ -16,7 +16,7 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Model
-from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.impulse_response import FirModel
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.preparation import (
     PreparedRecord,
@@ -25,7 +25,6 @@ from tissueid.identification.preparation import (
     prepare,
     typical_samples,
 )
-from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.records import Record
 
 RECENT_S = 10.0
@@ -36,27 +35,16 @@ SNAPSHOTS = 400
 
 
 @dataclass(frozen=True, eq=False)
-class OnlineModel(Model):
-    """A linear finite impulse response about an operating point, and its trajectory.
+class OnlineModel(FirModel):
+    """A linear finite impulse response and its trajectory.
 
-    ``impulse_response`` (lags,) is in output units per input unit and second, at ``lag_s`` (lags,). ``trajectory`` (t,
-    lags) holds the responses at the times ``trajectory_s`` (t,), when the output was ``trajectory_position`` (t,); t is
-    at most 400. ``second_order`` is the parametric fit.
+    ``trajectory`` (t, lags) holds the responses at the times ``trajectory_s`` (t,), when the output was
+    ``trajectory_position`` (t,); t is at most 400.
     """
 
-    impulse_response: Array
-    lag_s: Array
-    input_mean: float
-    output_mean: float
     trajectory: Array
     trajectory_s: Array
     trajectory_position: Array
-    second_order: SecondOrderFit
-
-    def simulate(self, u: Array) -> Array:
-        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
-        kernel = self.impulse_response / self.sample_rate_hz
-        return self.output_mean + convolve_at_rest(kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
 
 
 class Identifier(ABC):
@@ -103,7 +91,7 @@ class Identifier(ABC):
         Raises:
             UnusableInputError: there are too few samples for a score.
         """
-        return self.options.model_of(self, prepared_recent(self))
+        return self.options.model_of(self, prepare(self.recent(), None, self.lags / self.sample_rate_hz))
 
     def update(self, u: float, y: float) -> float:
         """Add one input and one output, and return the prediction error before the update.
@@ -283,7 +271,7 @@ class OnlineEngine(MemoryEngine):
         record = prepared.record
         input_std = float(np.nanstd(record.input[prepared.part]))
         means = (prepared.input_mean, prepared.output_mean)
-        begin = first_sample(prepared)
+        begin = max(0, int(prepared.part.start) - prepared.memory_samples + 1)
         identifier = self.identifier(self, record.sample_rate_hz, input_std, means, begin=begin, **state)
         y = record.output[begin : prepared.part.stop].copy()
         y[: prepared.part.start - begin] = np.nan  # before the fitted part only the inputs are used
@@ -293,20 +281,6 @@ class OnlineEngine(MemoryEngine):
     @abstractmethod
     def model_of(self, identifier: Any, prepared: PreparedRecord) -> OnlineModel:
         """Return the model of an identifier, scored on a prepared record."""
-
-
-def first_sample(prepared: PreparedRecord) -> int:
-    """Return the first sample in the memory of the first fitted output, at least 0."""
-    return max(0, int(prepared.part.start) - prepared.memory_samples + 1)
-
-
-def prepared_recent(identifier: Identifier) -> PreparedRecord:
-    """Return the latest samples of an identifier, prepared as for a fit.
-
-    Raises:
-        UnusableInputError: there are too few samples.
-    """
-    return prepare(identifier.recent(), None, identifier.lags / identifier.sample_rate_hz)
 
 
 def lags_of(engine: OnlineEngine, sample_rate_hz: float) -> int:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -21,7 +21,7 @@ from scipy import fft
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
-from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, Minimum, minimise
+from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, ErrorProblem, Minimum, minimise
 from tissueid.identification.preparation import finite_runs, part_length, scored_samples, typical_samples
 from tissueid.identification.second_order import (
     HOLDS,
@@ -326,17 +326,20 @@ def fit_second_order(
                 samples=dead_time.value * rate,
             )
         )
-    return SecondOrderFit(
+    answer = SecondOrderFit(
         system=fitted,
         sign=sign,
         log_covariance=covariance,
-        vaf_percent=_free_run_vaf(record, used, fitted, sign, mean_u, hold, dead_time),
+        vaf_percent=math.nan,
         mechanical=(record.input_unit, record.output_unit) == ("N", "m"),
         sample_rate_hz=rate,
         hold=hold,
         warnings=tuple(warnings),
         dead_time=dead_time,
     )
+    # From rest at the mean input; gaps contain no fitted samples.
+    simulated = answer.simulate(np.where(np.isfinite(record.input), record.input - mean_u, 0.0))
+    return replace(answer, vaf_percent=vaf_percent(record.output[used], simulated[used]))
 
 
 def _possible_gain(at: ErrorPoint) -> float:
@@ -345,7 +348,7 @@ def _possible_gain(at: ErrorPoint) -> float:
     return float(at.error @ at.slopes @ step) / max(at.cost, 1e-300)
 
 
-class _SimulationError:
+class _SimulationError(ErrorProblem):
     """The squared error of the free run by log M, log B and log K, and by a dead time in samples if there is one."""
 
     def __init__(self, evaluate: Callable[[Array], tuple[Array, Array]]) -> None:
@@ -356,14 +359,8 @@ class _SimulationError:
         error, slopes = self._evaluate(theta)
         return ErrorPoint(theta, error, slopes, float(error @ error))
 
-    def linearised(self, at: ErrorPoint) -> tuple[Array, Array]:
-        return at.slopes.T @ at.slopes, at.slopes.T @ at.error
-
     def attempt(self, at: ErrorPoint, step: Array) -> ErrorPoint:
         return self.point(at.theta + step)
-
-    def refresh(self, _at: ErrorPoint) -> bool:
-        return False
 
 
 def sandwich(slopes: Array, error: Array, block: int) -> Array | None:
@@ -527,13 +524,3 @@ def _grid(lags: int, rate: float) -> tuple[list[SecondOrder], Array, Array]:
     products = fft.irfft(np.abs(fft.rfft(kernels, length)) ** 2, length)[:, :lags]
     products[:, 1:] *= 2.0
     return systems, kernels, products
-
-
-def _free_run_vaf(
-    record: Record, used: Mask, system: SecondOrder, sign: float, mean_u: float, hold: Hold, dead_time: Estimate | None
-) -> float:
-    """Return the VAF of the system simulated from rest at the mean input; gaps contain no fitted samples."""
-    u = np.where(np.isfinite(record.input), record.input - mean_u, 0.0)
-    late = 0.0 if dead_time is None else dead_time.value
-    simulated = sign * system.simulate(u, record.sample_rate_hz, hold, late)
-    return vaf_percent(record.output[used], simulated[used])

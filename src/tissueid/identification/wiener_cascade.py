@@ -420,7 +420,9 @@ def hunter_korenberg(stage: LinearStage, form: Form, degree: int, passes: int) -
         and stage.second_order_kernel_estimate is not None
     ):
         other = _iterate(stage, form, degree, passes, stage.second_order_kernel_estimate)
-        done = min([way for way in (done, other) if way], key=_best_rss, default=[])
+        done = min(
+            [way for way in (done, other) if way], key=lambda way: min(one.cascade.rss for one in way), default=[]
+        )
     if not done:
         raise UnusableInputError(
             "wiener.no_gain", "the linear stage has no steady-state gain for its normalisation: use lms or spectral"
@@ -431,10 +433,6 @@ def hunter_korenberg(stage: LinearStage, form: Form, degree: int, passes: int) -
 def _variance(values: Array) -> float:
     mean = float(values.sum()) / values.size
     return max(0.0, float(np.dot(values, values)) / values.size - mean * mean)
-
-
-def _best_rss(passes: list[Pass]) -> float:
-    return min(one.cascade.rss for one in passes)
 
 
 def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Array | None) -> list[Pass]:

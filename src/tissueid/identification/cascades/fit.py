@@ -21,7 +21,7 @@ from tissueid.identification.cascades.blocks import (
     run,
     slopes,
 )
-from tissueid.identification.levenberg_marquardt import minimise
+from tissueid.identification.levenberg_marquardt import Problem, minimise
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity
 from tissueid.identification.validation import aicc
 
@@ -233,7 +233,7 @@ class _Point:
         return self.blocks.vector
 
 
-class _SimulationError:
+class _SimulationError(Problem[_Point]):
     """The squared error of a cascade by all its parameters."""
 
     def __init__(self, data: CascadeData) -> None:
@@ -251,9 +251,6 @@ class _SimulationError:
 
     def attempt(self, at: _Point, step: Array) -> _Point:
         return self.point(at.blocks.with_vector(at.theta + step))
-
-    def refresh(self, _at: _Point) -> bool:
-        return False
 
 
 def _fits_range(blocks: Blocks, data: CascadeData) -> bool:
@@ -318,18 +315,6 @@ def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) 
     return found
 
 
-def fit_hammerstein(data: CascadeData, form: Form, degree: int) -> FittedCascade:
-    """Fit a Hammerstein (NL) cascade: refine the best pass of alternating least squares."""
-    passes = hammerstein_passes(data, form, degree, 4)
-    return refine(min(passes, key=lambda done: done.rss).blocks, data)
-
-
-def fit_wiener(data: CascadeData, form: Form, degree: int) -> FittedCascade:
-    """Fit a Wiener (LN) cascade, starting from the best linear approximation and from the second-order kernel."""
-    starts = [linear_weights(data), *quadratic_weights(data, 2)]
-    return _best([_wiener_blocks(weights, data, form, degree) for weights in starts], data)
-
-
 def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> FittedCascade:
     """Fit an LNL cascade: complete each of several first blocks to an LNL system by a Hammerstein fit, and refine the
     best.
@@ -372,9 +357,11 @@ def fit_structures(
     if "linear" in asked:
         found["linear"] = fit_linear(data)
     if asked & {"hammerstein", "nln"}:
-        found["hammerstein"] = fit_hammerstein(data, form, degree)
+        passes = hammerstein_passes(data, form, degree, 4)
+        found["hammerstein"] = refine(min(passes, key=lambda done: done.rss).blocks, data)
     if asked & {"wiener", "lnl", "nln"}:
-        found["wiener"] = fit_wiener(data, form, degree)
+        starts = [linear_weights(data), *quadratic_weights(data, 2)]
+        found["wiener"] = _best([_wiener_blocks(weights, data, form, degree) for weights in starts], data)
     simpler = [done.blocks for done in found.values()]
     if "lnl" in asked:
         found["lnl"] = fit_lnl(data, form, degree, simpler)

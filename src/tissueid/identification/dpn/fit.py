@@ -29,6 +29,11 @@ _CENTRAL = 0.98
 """Share of the samples within the positions of a profile; there are few samples outside."""
 
 
+def estimate(value: float, std: float) -> Estimate:
+    """Return an estimate whose deviation is None where it is not finite."""
+    return Estimate(value, std if np.isfinite(std) else None)
+
+
 @dataclass(frozen=True, eq=False)
 class CurveBand:
     """A curve at k positions with its pointwise 95 % band; all of shape (k,), in the unit of the curve."""
@@ -98,7 +103,7 @@ class EstimatedCurves:
         series = getattr(self.curves, name)
         slopes = np.zeros((1, self.curves.theta.size))
         slopes[:, self.curves.places[name]] = self.curves.growths(np.array([position]), series.size)
-        return _estimate(float(slopes[0] @ self.curves.theta), float(self._std(slopes)[0]))
+        return estimate(float(slopes[0] @ self.curves.theta), float(self._std(slopes)[0]))
 
     def changes(self, low: float, high: float) -> tuple[Array, Array]:
         """Return the changes (3,) of log M, log B, log K from ``low`` to ``high``, and their covariance (3, 3)."""
@@ -201,10 +206,6 @@ def coefficient_covariance(data: DpnData, fitted: FittedDpn) -> Array:
     held = inverse * (weights / size * PRIOR)
     covariance = long_run_covariance(influence, block) * n / (n - p) + held @ held.T
     return np.asarray(covariance / np.outer(size, size), dtype=np.float64)
-
-
-def _estimate(value: float, std: float) -> Estimate:
-    return Estimate(value, std if np.isfinite(std) else None)
 
 
 _ITERATIONS = 30
@@ -375,7 +376,7 @@ class _Point:
         return self.curves.theta
 
 
-class _SimulationError:
+class _SimulationError(levenberg_marquardt.Problem[_Point]):
     """The squared simulation error by the coefficients of the curves, each with a weak prior at its centre.
 
     The prior is relative to the variance of the error, so that it multiplies the squared error.
@@ -404,6 +405,3 @@ class _SimulationError:
             for s, (by_error, by_theta) in zip(at.starts, at.evaluation.starts, strict=True)
         ]
         return self.point(at.curves.with_theta(at.theta + step), starts)
-
-    def refresh(self, _at: _Point) -> bool:
-        return False

@@ -24,6 +24,7 @@ from tissueid.identification.dpn.fit import (
     EstimatedCurves,
     FittedDpn,
     coefficient_covariance,
+    estimate,
     minimise,
 )
 from tissueid.language import marked
@@ -230,11 +231,6 @@ def curve_warnings(known: EstimatedCurves) -> list[str]:
             names=Listing(unknown, marked(" and ")),
         )
     ]
-
-
-def estimate(value: float, std: float) -> Estimate:
-    """Return a value with its standard deviation, None if that is not finite."""
-    return Estimate(value, std if math.isfinite(std) else None)
 
 
 def _common(changes: Array, covariance: Array) -> bool:

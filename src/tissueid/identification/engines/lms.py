@@ -7,9 +7,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from tissueid.identification.base import Array, Family, Model, option
+from tissueid.identification.base import Array, Family, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import (
+    FirModel,
     factor_input,
     kernel_std,
     memory_warnings,
@@ -19,30 +20,16 @@ from tissueid.identification.impulse_response import (
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
+from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.language import marked
 from tissueid.records import Record
 
 
 @dataclass(frozen=True, eq=False)
-class LmsModel(Model):
-    """A linear finite impulse response about an operating point.
+class LmsModel(FirModel):
+    """The response with its standard deviations ``impulse_response_std`` (lags,)."""
 
-    ``impulse_response`` (lags,) is h of Eq. 3.2, output units per input unit and second, at ``lag_s`` (lags,);
-    ``impulse_response_std`` its standard deviations. ``second_order`` is the parametric fit.
-    """
-
-    impulse_response: Array
     impulse_response_std: Array
-    lag_s: Array
-    input_mean: float
-    output_mean: float
-    second_order: SecondOrderFit
-
-    def simulate(self, u: Array) -> Array:
-        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
-        kernel = self.impulse_response / self.sample_rate_hz
-        return self.output_mean + convolve_at_rest(kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
 
 
 @engine

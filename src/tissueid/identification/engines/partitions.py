@@ -35,7 +35,13 @@ from tissueid.identification.partitions.regression import (
     solve_along_lags,
     solve_at_output,
 )
-from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, PreparedRecord, complete_windows, prepare
+from tissueid.identification.preparation import (
+    SAMPLES_PER_PARAMETER,
+    PreparedRecord,
+    complete_windows,
+    part_mask,
+    prepare,
+)
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.volterra.regressors import LagGrid, automatic_grid, lag_grid, shortened
@@ -165,14 +171,11 @@ def fit_partitions(engine: PartitionEngine, record: Record, fit_part: slice | No
     model = _model(solved, prepared, partitions, grid, local, profile, engine)
     fitted = _reported(model, record, prepared, used, solved, local, linear)
     report = fitted.report
-    if cut:
-        fitted = fitted.with_report(warnings=(*cut, *report.warnings))
-        report = fitted.report
-    if not stepped:
-        return fitted
-    if at_output:
-        return fitted.with_report(findings=(*report.findings, _OWN_OFFSETS))
-    return fitted.with_report(warnings=(*report.warnings, _STEPPED))
+    own, doubted = ((_OWN_OFFSETS,), ()) if at_output else ((), (_STEPPED,))
+    return fitted.with_report(
+        warnings=(*cut, *report.warnings, *(doubted if stepped else ())),
+        findings=(*report.findings, *(own if stepped else ())),
+    )
 
 
 def _grid(engine: PartitionEngine, first: PreparedRecord) -> tuple[LagGrid, tuple[str, ...]]:
@@ -183,12 +186,6 @@ def _grid(engine: PartitionEngine, first: PreparedRecord) -> tuple[LagGrid, tupl
     kernels = engine.partitions * (2 if engine.directional else 1)
     grid = automatic_grid(engine.memory_s, first.record.input[first.part] - first.input_mean, rate)
     return shortened(grid, max(_FEWEST_LAGS, _MOST_COEFFICIENTS // kernels), rate)
-
-
-def _part_mask(prepared: PreparedRecord) -> Mask:
-    mask = np.zeros(len(prepared.record), dtype=np.bool_)
-    mask[prepared.part] = True
-    return mask
 
 
 def _usable(prepared: PreparedRecord, cells: Cells, grid: LagGrid, n_parameters: int, at_output: bool) -> Mask:
@@ -297,7 +294,7 @@ def _local(
     """Return the parameters against depth, by the method that belongs to the chosen offset."""
     record = prepared.record
     if solved.at_output:
-        x = np.where(_part_mask(prepared), record.input - prepared.input_mean, np.nan)
+        x = np.where(part_mask(len(record), prepared.part), record.input - prepared.input_mean, np.nan)
         found = local_parameters(solved, partitions, record.output[used], assigned[used], x, grid, linear)
         return LocalEstimates(found, solved)
     depth_only = replace(partitions, directional=False)

@@ -173,7 +173,7 @@ class Spectral(MemoryEngine):
                 warnings=(*prepared.warnings, *doubts, *second_order.warnings),
                 details={
                     "averages": spectra.averages,
-                    "mean_coherence": _power_mean(spectra.coherence, spectra.input_psd),
+                    "mean_coherence": float(np.average(spectra.coherence, weights=spectra.input_psd)),
                     "vaf_parametric_percent": second_order.vaf_percent,
                 },
             ),
@@ -247,8 +247,3 @@ def independent_averages(starts: NDArray[np.intp], taper: Array) -> float:
     correlation = signal.correlate(taper, taper)[taper.size - 1 :] / float(taper @ taper)
     shared = np.where(distance < taper.size, correlation[np.minimum(distance, taper.size - 1)], 0.0)
     return float(starts.size**2 / np.sum(shared**2))
-
-
-def _power_mean(values: Array, power: Array) -> float:
-    """Return the mean of values (bins,) weighted by the input power (bins,)."""
-    return float(np.sum(values * power) / np.sum(power))

@@ -18,7 +18,7 @@ from scipy import fft
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, Family, FittedCurve, LineFigure, Mask, Model, option
 from tissueid.identification.correlation import Correlator, dependence_samples
-from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
+from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, ErrorProblem, minimise
 from tissueid.identification.preparation import complete_windows, finite_runs, prepare
 from tissueid.identification.ramp_stiffness import is_slow, ramp_stiffness
 from tissueid.identification.registry import engine
@@ -132,7 +132,7 @@ def _held_runs(record: Record, used: Mask) -> list[InputRun]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _Problem(ErrorProblem):
     """Squared error of the free run of a structure; ``y`` (m,) is the output about its mean.
 
     ``held`` marks runs that start at rest, such as a ramp and hold: each has an offset as its only nuisance, and no
@@ -188,15 +188,9 @@ class _Problem:
             rows[1 + _DAMPING] = 0.0
         return ErrorPoint(theta, rows[0], rows[1:].T, float(rows[0] @ rows[0]))
 
-    def linearised(self, at: ErrorPoint) -> tuple[Array, Array]:
-        return at.slopes.T @ at.slopes, at.slopes.T @ at.error
-
     def attempt(self, at: ErrorPoint, step: Array) -> ErrorPoint | None:
         theta = at.theta + step
         return self.point(theta) if np.all(np.abs(theta) < 60.0) else None
-
-    def refresh(self, _at: ErrorPoint) -> bool:
-        return False
 
 
 @dataclass(frozen=True, eq=False)

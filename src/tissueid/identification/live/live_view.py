@@ -36,6 +36,7 @@ from tissueid.records import Estimate, Record
 Method = Literal["sliding", "rls", "als"]
 METHODS: tuple[Method, ...] = get_args(Method)
 LiveIdentifier = SlidingLms | RlsIdentifier | AlsIdentifier
+_METHOD_OF: dict[type, Method] = {SlidingLms: "sliding", RlsIdentifier: "rls", AlsIdentifier: "als"}
 
 _LONGEST_SEGMENT_S = 0.5
 _SEGMENTS = 3.0
@@ -195,7 +196,7 @@ def view(identifier: LiveIdentifier, looks: Sequence[Precision] = ()) -> LiveVie
     except UnusableInputError as error:
         missing = error.message
     return LiveView(
-        method=_method(identifier),
+        method=_METHOD_OF[type(identifier)],
         seconds=identifier.samples / identifier.sample_rate_hz,
         lag_s=identifier.lag_s if response else np.zeros(0),
         impulse_response=response.kernel * identifier.sample_rate_hz if response else np.zeros(0),
@@ -234,12 +235,6 @@ class _Response:
         """Variance accounted for; None if the output does not vary above its noise."""
         predicted, measured = self.pairs
         return vaf_percent(measured, predicted) if above_noise(measured) else None
-
-
-def _method(identifier: LiveIdentifier) -> Method:
-    if isinstance(identifier, SlidingLms):
-        return "sliding"
-    return "rls" if isinstance(identifier, RlsIdentifier) else "als"
 
 
 def _present_response(identifier: LiveIdentifier) -> _Response:
