@@ -13,17 +13,15 @@ import numpy as np
 from scipy import fft, linalg, signal
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Model
+from tissueid.identification.base import Array
 from tissueid.identification.correlation import (
     Correlator,
     condition_number,
-    convolve_at_rest,
     lagged_products,
     toeplitz_inverse,
     toeplitz_solve,
 )
 from tissueid.identification.preparation import PreparedRecord, scored_samples, typical_samples
-from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.messages import Message
 
 RIDGE = 1e-3
@@ -101,26 +99,6 @@ class ImpulseResponses:
             return self.pseudo_inverse
         assert self.column is not None
         return toeplitz_inverse(self.column)
-
-
-@dataclass(frozen=True, eq=False)
-class FirModel(Model):
-    """A linear finite impulse response about an operating point.
-
-    ``impulse_response`` (lags,) is h of Eq. 3.2, output units per input unit and second, at ``lag_s`` (lags,).
-    ``second_order`` is the parametric fit.
-    """
-
-    impulse_response: Array
-    lag_s: Array
-    input_mean: float
-    output_mean: float
-    second_order: SecondOrderFit
-
-    def simulate(self, u: Array) -> Array:
-        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
-        kernel = self.impulse_response / self.sample_rate_hz
-        return self.output_mean + convolve_at_rest(kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
 
 
 def with_extra_memory(prepared: PreparedRecord) -> PreparedRecord:

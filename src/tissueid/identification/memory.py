@@ -1,17 +1,18 @@
-"""Length of an impulse response: that of the user, the usual one of tissue, or one estimated from the record."""
+"""Impulse response of an engine: the model, and its length: given, usual for tissue, or estimated from the record."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, option
-from tissueid.identification.correlation import Correlator, toeplitz_solve
+from tissueid.identification.base import Array, Engine, Model, option
+from tissueid.identification.correlation import Correlator, convolve_at_rest, toeplitz_solve
 from tissueid.identification.preparation import memory_in_samples, part_length, part_mask, typical_samples
 from tissueid.identification.second_order import HOLD, Hold
-from tissueid.identification.second_order_fit import hold_of
+from tissueid.identification.second_order_fit import SecondOrderFit, hold_of
 from tissueid.language import marked
 from tissueid.records import Record
 
@@ -28,6 +29,26 @@ _RIDGE = 1e-3
 """Ridge relative to the input power, as in ``lms``."""
 _TOO_SHORT = 1.5
 """Ratio of the estimated to the usual memory from which the usual one is too short."""
+
+
+@dataclass(frozen=True, eq=False)
+class FirModel(Model):
+    """A linear finite impulse response about an operating point.
+
+    ``impulse_response`` (lags,) is h of Eq. 3.2, output units per input unit and second, at ``lag_s`` (lags,).
+    ``second_order`` is the parametric fit.
+    """
+
+    impulse_response: Array
+    lag_s: Array
+    input_mean: float
+    output_mean: float
+    second_order: SecondOrderFit
+
+    def simulate(self, u: Array) -> Array:
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
+        kernel = self.impulse_response / self.sample_rate_hz
+        return self.output_mean + convolve_at_rest(kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
 
 
 class MemoryEngine(Engine):

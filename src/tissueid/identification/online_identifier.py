@@ -16,8 +16,7 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Model
-from tissueid.identification.impulse_response import FirModel
-from tissueid.identification.memory import MemoryEngine
+from tissueid.identification.memory import FirModel, MemoryEngine
 from tissueid.identification.preparation import (
     PreparedRecord,
     checked_samples,

@@ -10,14 +10,13 @@ import numpy as np
 from tissueid.identification.base import Array, Family, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import (
-    FirModel,
     factor_input,
     kernel_std,
     memory_warnings,
     segment_average,
     with_extra_memory,
 )
-from tissueid.identification.memory import MemoryEngine
+from tissueid.identification.memory import FirModel, MemoryEngine
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
