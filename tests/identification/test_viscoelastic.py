@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from coded import codes
 from identification import simulated_viscoelastic as simulated
+from identification.simulated import changed
 from plant_support import VOLTS_PER_NEWTON
 from scipy import signal
 
@@ -91,7 +92,7 @@ def test_response_is_that_of_the_polynomials(structure: str):
 
 def test_a_held_force_and_gaps():
     record = simulated.record("standard-linear-solid", 4)
-    output = simulated.changed(record.output, (np.s_[1000:1050], np.nan))
+    output = changed(record.output, (np.s_[1000:1050], np.nan))
     holed = Record(np.where(np.isnan(output), np.nan, record.input), output, record.sample_rate_hz)
     found = ViscoelasticEngine(structure="standard-linear-solid").fit(holed).report
     assert found.parameters["relaxation_time_s"].value == pytest.approx(0.01, rel=0.02)
