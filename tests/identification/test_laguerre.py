@@ -93,7 +93,7 @@ def _estimate(known: Known) -> tuple[np.ndarray, ...]:
     return found.kernel1, found.kernel2, found.kernel1_std, found.kernel2_std
 
 
-@pytest.mark.parametrize("colour", [0.0, 0.9])
+@pytest.mark.parametrize("colour", [pytest.param(0.0, marks=pytest.mark.soak), 0.9])
 def test_standard_deviations_hold(colour: float):
     assert np.all(covered(_estimate, 3, 43, cutoff_hz=600.0, colour=colour) > 0.8)
 

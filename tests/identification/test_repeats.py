@@ -35,8 +35,10 @@ def repeats(*seed: int, count: int = 2, noise: float = 0.3, pole: float = 0.0, j
     return found
 
 
-@pytest.mark.parametrize("count", [2, 5])
-@pytest.mark.parametrize("pole", [0.0, 0.9])
+@pytest.mark.parametrize(
+    ("count", "pole"),
+    [(2, 0.9), *(pytest.param(*case, marks=pytest.mark.soak) for case in ((2, 0.0), (5, 0.0), (5, 0.9)))],
+)
 def test_the_noise_floor_is_the_noise(count: int, pole: float):
     apart, off = [], []
     for run in range(20):

@@ -40,8 +40,15 @@ def rejections(runs: int, fitted: int, held_out: int, low_pass: bool, pole: floa
     return found
 
 
-@pytest.mark.parametrize("low_pass", [False, True])
-@pytest.mark.parametrize("pole", [0.0, 0.9])
+@pytest.mark.parametrize(
+    ("low_pass", "pole"),
+    [
+        (False, 0.0),
+        (True, 0.9),
+        pytest.param(False, 0.9, marks=pytest.mark.soak),
+        pytest.param(True, 0.0, marks=pytest.mark.soak),
+    ],
+)
 def test_right_models_pass_nineteen_times_in_twenty(low_pass: bool, pole: float):
     found = rejections(16, 3000, 1500, low_pass, pole)
     assert np.mean([found[name] for name in COLOUR_BLIND]) == pytest.approx(0.05, abs=0.045)

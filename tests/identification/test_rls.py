@@ -223,7 +223,10 @@ def test_a_long_run_keeps_the_latest_and_a_thinned_course():
     assert change[-20:].mean() < 0.1 * change[:5].mean()
 
 
-@pytest.mark.parametrize(("forgetting", "pole"), [(1.0, 0.0), (1.0, 0.9), (0.995, 0.0), (0.995, 0.7)])
+@pytest.mark.parametrize(
+    ("forgetting", "pole"),
+    [(0.995, 0.7), *(pytest.param(*case, marks=pytest.mark.soak) for case in ((1.0, 0.0), (1.0, 0.9), (0.995, 0.0)))],
+)
 def test_standard_deviation_of_each_lag_is_the_spread_of_repeats(forgetting: float, pole: float):
     found, reported = [], []
     for run in range(40):

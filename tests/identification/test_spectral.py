@@ -11,6 +11,7 @@ from scipy import signal
 from tissueid.identification import validated
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.spectral import Spectral
+from tissueid.identification.preparation import prepare
 from tissueid.identification.second_order import SecondOrder
 from tissueid.records import Record
 
@@ -43,7 +44,7 @@ def test_spectra_are_scipys(record: Record, taper: str, overlap: float):
 
 
 def test_bode_diagram_of_a_known_system(record: Record):
-    spectra = Spectral().fit(record).spectra
+    spectra = Spectral().spectra(prepare(record, None, 0.125))
     truth = SecondOrder(simulated.MASS, simulated.DAMPING, simulated.STIFFNESS).frequency_response(
         spectra.frequency_hz[BAND]
     )

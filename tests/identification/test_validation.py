@@ -136,7 +136,7 @@ def fitted(record: Record, memory: float) -> FitReport:
     return validated(Lms(memory=memory).fit(record, part), record, rest).report
 
 
-@pytest.mark.parametrize("memory", [0.02, 0.125])
+@pytest.mark.parametrize("memory", [pytest.param(0.02, marks=pytest.mark.soak), 0.125])
 def test_a_fit_to_unrelated_motion_predicts_nothing(memory: float):
     reports = [fitted(unrelated(seed), memory) for seed in range(20)]
     assert sum(report.predicts_nothing for report in reports) >= 18  # at 5 %, more than 2 of 20 come to 8 %

@@ -329,7 +329,7 @@ def _coverage(runs: int, colour: float) -> tuple[float, float]:
     return float(np.mean(first)), float(np.mean(second))
 
 
-@pytest.mark.parametrize("colour", [0.0, 0.9], ids=["white", "coloured"])
+@pytest.mark.parametrize("colour", [pytest.param(0.0, marks=pytest.mark.soak), 0.9])
 def test_intervals_hold_the_kernels(colour: float):
     first, second = _coverage(12, colour)
     assert 0.88 < first <= 1.0
