@@ -78,11 +78,11 @@ def test_errors_by_current_are_found():
     high = current > np.quantile(current, 0.7)
     found = regions_of(white(1) + 8.0 * high * np.random.default_rng(2).standard_normal(SAMPLES))
     assert found.channel == "position"
-    assert found.current_a
+    assert found.above["current_a"]
     # Half a bin can reach over the edge.
     width = np.diff(found.profiles["current_a"].edges)[0]
-    assert found.current_a[0][0] > np.quantile(current, 0.7) - width
-    assert found.as_answer()["current_a"] == [list(item) for item in found.current_a]
+    assert found.above["current_a"][0][0] > np.quantile(current, 0.7) - width
+    assert found.as_answer()["current_a"] == [list(item) for item in found.above["current_a"]]
 
 
 def test_errors_by_recent_amplitude_are_found():
@@ -90,9 +90,9 @@ def test_errors_by_recent_amplitude_are_found():
     size = recent_size(test, DeviceDescription())
     edge = np.quantile(size, 0.6)
     found = regions_of(white(1) + 8.0 * (size > edge) * np.random.default_rng(2).standard_normal(SAMPLES))
-    assert found.amplitude_n
-    assert found.amplitude_n[0][0] == pytest.approx(edge, abs=np.diff(found.profiles["amplitude_n"].edges)[0])
-    assert found.mains_phase_rad == ()
+    assert found.above["amplitude_n"]
+    assert found.above["amplitude_n"][0][0] == pytest.approx(edge, abs=np.diff(found.profiles["amplitude_n"].edges)[0])
+    assert found.above["mains_phase_rad"] == ()
 
 
 @pytest.mark.parametrize("hz", [49.93, 60.0])
@@ -103,17 +103,17 @@ def test_hum_is_found_at_its_phases(hz):
     # Twelfths of a period: about its top a sine of 6 floors has 5.8 with the noise, about its zeros 2.0.
     assert error[[2, 3, 8, 9]] == pytest.approx(5.8, rel=0.15)
     assert error[[0, 5, 6, 11]] == pytest.approx(2.0, rel=0.2)
-    for low, high in found.mains_phase_rad:
+    for low, high in found.above["mains_phase_rad"]:
         assert 0.0 <= low < high <= 2.0 * np.pi + 1e-9
-    assert found.mains_phase_rad
+    assert found.above["mains_phase_rad"]
 
 
 def test_noise_that_comes_with_the_mains_is_found_without_a_line():
     burst = (TIME_S * 50.0) % 1.0 < 0.25
     found = regions_of(white(1) + 8.0 * burst * np.random.default_rng(2).standard_normal(SAMPLES))
     assert found.mains_hz == pytest.approx(50.0, abs=0.05)
-    assert found.mains_phase_rad[0] == pytest.approx((0.0, np.pi / 2.0), abs=0.55)
-    assert (49.5, 50.5) not in found.bands_hz
+    assert found.above["mains_phase_rad"][0] == pytest.approx((0.0, np.pi / 2.0), abs=0.55)
+    assert (49.5, 50.5) not in found.above["bands_hz"]
 
 
 def test_the_recent_size_looks_back_a_tenth_of_a_second():

@@ -15,7 +15,7 @@ from tissueid.gap.fitting import fit
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.noise import lost_samples, mains_lines, quiet_motion
 from tissueid.gap.preparation import prepare
-from tissueid.gap.stage_substitution import DRIVE, motion, propagated_noise, simulate_stage
+from tissueid.gap.stage_substitution import DRIVE, MOVING, TISSUE, motion, propagated_noise, simulate_stage
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGES
@@ -63,8 +63,8 @@ def test_no_stage_is_at_fault_without_an_effect():
     assert not result.above_floor
     assert result.findings == ()
     assert set(result.shares) == set(STAGES)
-    assert result.regions.bands_hz == ()
-    assert result.regions.time_s == ()
+    assert result.regions.above["bands_hz"] == ()
+    assert result.regions.above["time_s"] == ()
 
 
 def test_the_answer_has_the_contracts_keys_and_plain_values():
@@ -141,8 +141,10 @@ def test_noise_of_the_measured_current_counts_as_noise_of_a_motion_with_friction
     carried = propagated_noise(baseline.fit, tests.tests, "current", tests.noise["current"])
     assert carried > tests.noise["position"], "it makes the twin stick and slip elsewhere"
     result = localise(tests, baseline)
-    alone = result.evidence.answers["tissue"].residual(tests.tests[0])[40:].std() / tests.noise["position"]
-    assert alone > 1.3 * result.evidence.errors["tissue"]
+    floor = float(np.hypot(tests.noise["position"], carried))
+    answer = simulate_stage(baseline.fit, tests.tests, ("current",), "position", (*MOVING, *TISSUE), floor)
+    alone = answer.residual(tests.tests[0])[40:].std() / tests.noise["position"]
+    assert alone > 1.3 * result.errors["tissue"]
     without = fit(observed("", 3))
     assert propagated_noise(without, tests.tests, "current", tests.noise["current"]) < 0.3 * tests.noise["position"]
 
@@ -150,6 +152,6 @@ def test_noise_of_the_measured_current_counts_as_noise_of_a_motion_with_friction
 def test_a_neutral_localisation_has_no_stage_and_no_region():
     result = found("quadratic_drag").neutral()
     assert (result.above_floor, result.findings) == (False, ())
-    assert result.regions.bands_hz == result.regions.depth_m == result.regions.time_s == ()
+    assert result.regions.above["bands_hz"] == result.regions.above["depth_m"] == result.regions.above["time_s"] == ()
     assert not any(profile.above.any() for profile in result.regions.profiles.values())
     assert set(result.regions.profiles) == set(found("quadratic_drag").regions.profiles)

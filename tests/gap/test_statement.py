@@ -32,9 +32,9 @@ def diagnosis(**changes: Any) -> Any:
     alike = ("dry_friction", "end_stop", "reflex")
     item = Ranked("coil_heating", "coil", 0.95, 0.4, (0.3, 0.5), alike, {})
     regions = {"bands_hz": ((3.0, 9.0), (20.0, 40.0)), "depth_m": ((1e-3, 2e-3),), "current_a": ((0.1, 0.2),)}
-    regions |= {"amplitude_n": ((1.0, 2.0),), "mains_phase_rad": ((0.1, 1.0), (2.0, 3.0)), "mains_hz": 50.0}
+    regions |= {"amplitude_n": ((1.0, 2.0),), "mains_phase_rad": ((0.1, 1.0), (2.0, 3.0))}
     where = {"stage": "coil", "above_floor": True, "shares": dict.fromkeys(STAGES, 0.1) | {"coil": 0.5}}
-    where["regions"] = SimpleNamespace(channel="position", direction="into", **regions)
+    where["regions"] = SimpleNamespace(channel="position", direction="into", mains_hz=50.0, above=regions)
     found = {"verdict": "effect", "combination": ("coil_heating",), "ranking": (item,), "next_experiment": None}
     found["detection_limits"] = LIMITS
     found |= {

@@ -80,10 +80,13 @@ def test_current_size_and_phase_of_the_mains_are_told_where_they_matter():
     regions = replace(
         found.where.regions,
         profiles=found.where.regions.profiles | {"mains_phase_rad": phases},
-        current_a=((0.2, 0.6),),
-        amplitude_n=((1.5, 2.5),),
         mains_hz=49.97,
-        mains_phase_rad=((0.0, np.pi / 2.0),),
+        above=found.where.regions.above
+        | {
+            "current_a": ((0.2, 0.6),),
+            "amplitude_n": ((1.5, 2.5),),
+            "mains_phase_rad": ((0.0, np.pi / 2.0),),
+        },
     )
     found = replace(found, where=replace(found.where, regions=regions))
     text = checked(gap_html(found)).text

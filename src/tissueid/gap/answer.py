@@ -137,7 +137,7 @@ def content_of(found: Diagnosis, file: Path | None = None) -> DiagnosisContent:
         found.remarks,
         tuple(_stage(found, stage) for stage in STAGES),
         found.at_fault,
-        None if spectrum is None else gap_spectrum(spectrum, regions.bands_hz),
+        None if spectrum is None else gap_spectrum(spectrum, regions.above["bands_hz"]),
         {name: profile_values(name, regions.profiles[name]) for name in PROFILES if name in regions.profiles},
         tuple(_rival(found, item) for item in ordered_candidates(found)),
         _closing(found),
@@ -187,7 +187,7 @@ def _stage(found: Diagnosis, stage: Stage) -> StageContent:
 
 
 def _no_evidence(found: Diagnosis, stage: Stage) -> str:
-    nearest = found.where.evidence.nearest
+    nearest = found.where.nearest
     if stage not in nearest:
         return marked("There is no evidence against this stage.")
     times = number(nearest[stage], 3)

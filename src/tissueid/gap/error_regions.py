@@ -9,6 +9,7 @@ significant; Holm's correction keeps the size of all bins of a profile together.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Literal
@@ -25,6 +26,11 @@ from tissueid.gap.stage_substitution import motion
 
 FloatArray = NDArray[np.float64]
 Direction = Literal["both", "into", "out"]
+Intervals = tuple[tuple[float, float], ...]
+
+QUANTITIES = ("bands_hz", "depth_m", "time_s", "velocity_m_s", "current_a", "amplitude_n", "mains_phase_rad")
+"""Quantities of the regions: frequency, depth, time, velocity, current, root mean square of the stimulus in the last
+0.1 s as a force at rest, and phase of the mains, 0 to 2 pi from the start of the test."""
 
 SIZE = 0.01
 """Size of the test of all bins of one profile at squares of ``_EXCESS`` floors; it is smaller below."""
@@ -53,7 +59,7 @@ class ErrorProfile:
     error: FloatArray
     above: NDArray[np.bool_]
 
-    def intervals(self) -> tuple[tuple[float, float], ...]:
+    def intervals(self) -> Intervals:
         """Connected bins above the floor."""
         ends = np.flatnonzero(np.diff(np.concatenate([[0], self.above.astype(np.int8), [0]])))
         return tuple(
@@ -92,55 +98,28 @@ class ErrorSurface:
 class ErrorRegions:
     """Significant regions and their profiles.
 
-    ``channel`` is the signal with the largest error in floors.
+    ``channel`` is the signal with the largest error in floors, ``mains_hz`` the frequency of the mains in the residual
+    (0 where there is none). ``above`` holds the intervals above the floor by the names of ``QUANTITIES``.
     """
 
     channel: str
-    bands_hz: tuple[tuple[float, float], ...]
-    depth_m: tuple[tuple[float, float], ...]
-    velocity_m_s: tuple[tuple[float, float], ...]
-    current_a: tuple[tuple[float, float], ...]
     direction: Direction
-    time_s: tuple[tuple[float, float], ...]
+    mains_hz: float
+    above: Mapping[str, Intervals]
     profiles: dict[str, ErrorProfile] = field(repr=False)
     spectra: tuple[ErrorSpectrum, ...] = field(repr=False)
     surface: ErrorSurface | None = field(repr=False)
-    amplitude_n: tuple[tuple[float, float], ...] = ()
-    """Root mean square of the stimulus in the last 0.1 s, as a force at rest, N."""
-    mains_hz: float = 0.0
-    """Frequency of the mains in the residual; 0 where there is none."""
-    mains_phase_rad: tuple[tuple[float, float], ...] = ()
-    """Phases of the mains, 0 to 2 pi, counted from the start of the test."""
 
     def unmarked(self) -> ErrorRegions:
         """Return a copy with the same profiles and no region or bin marked as above the noise."""
-        return replace(
-            self,
-            bands_hz=(),
-            depth_m=(),
-            velocity_m_s=(),
-            current_a=(),
-            direction="both",
-            time_s=(),
-            profiles={name: replace(item, above=np.zeros_like(item.above)) for name, item in self.profiles.items()},
-            amplitude_n=(),
-            mains_phase_rad=(),
-        )
+        profiles = {name: replace(item, above=np.zeros_like(item.above)) for name, item in self.profiles.items()}
+        return replace(self, direction="both", above=dict.fromkeys(QUANTITIES, ()), profiles=profiles)
 
     def as_answer(self) -> dict[str, Any]:
         """Return plain values for JSON under the contract's names, with the additional regions."""
-        return {
-            "bands_hz": [list(item) for item in self.bands_hz],
-            "depth_m": [list(item) for item in self.depth_m],
-            "direction": self.direction,
-            "time_s": [list(item) for item in self.time_s],
-            "velocity_m_s": [list(item) for item in self.velocity_m_s],
-            "current_a": [list(item) for item in self.current_a],
-            "amplitude_n": [list(item) for item in self.amplitude_n],
-            "mains_hz": self.mains_hz or None,
-            "mains_phase_rad": [list(item) for item in self.mains_phase_rad],
-            "channel": self.channel,
-        }
+        intervals = {name: [list(item) for item in self.above[name]] for name in QUANTITIES}
+        others = {"direction": self.direction, "mains_hz": self.mains_hz or None, "channel": self.channel}
+        return intervals | others
 
 
 def find_error_regions(dataset: Dataset, baseline: Fit) -> ErrorRegions:
@@ -148,7 +127,7 @@ def find_error_regions(dataset: Dataset, baseline: Fit) -> ErrorRegions:
     error."""
     test, channel = _shown_in(dataset, baseline)
     if test is None:
-        return ErrorRegions("", (), (), (), (), "both", (), {}, (), None)
+        return ErrorRegions("", "both", 0.0, dict.fromkeys(QUANTITIES, ()), {}, (), None)
     residual = _residual(baseline, test, channel)
     floor = dataset.noise[channel]
     position, velocity = motion(test)
@@ -165,25 +144,14 @@ def find_error_regions(dataset: Dataset, baseline: Fit) -> ErrorRegions:
     if mains_hz := mains.exact_hz or mains_lines(residual**2, test.sample_rate_hz).exact_hz:
         measured["mains_phase_rad"] = 2.0 * np.pi * ((measured["time_s"] * mains_hz) % 1.0)
     profiles = {name: _profile(residual / floor, values, test, name) for name, values in measured.items()}
-    bands, profiles["bands_hz"] = _bands(residual, floor, test, mains.mains_hz)
+    profiles["bands_hz"] = _bands(residual, floor, test)
     spectra = tuple(spectrum(dataset, baseline, test, name) for name in dataset.channels if name in test.signals)
     surface = _surface(residual / floor, measured["depth_m"], velocity)
-    above = {name: profile.intervals() for name, profile in profiles.items()}
-    return ErrorRegions(
-        channel,
-        bands,
-        above["depth_m"],
-        above["velocity_m_s"],
-        above.get("current_a", ()),
-        _direction(residual / floor, velocity),
-        above["time_s"],
-        profiles,
-        spectra,
-        surface,
-        above.get("amplitude_n", ()),
-        mains_hz,
-        above.get("mains_phase_rad", ()),
-    )
+    above = dict.fromkeys(QUANTITIES, ()) | {name: profile.intervals() for name, profile in profiles.items()}
+    if mains.mains_hz in MAINS_HZ:
+        above["bands_hz"] += ((mains.mains_hz - 0.5, mains.mains_hz + 0.5),)
+    direction = _direction(residual / floor, velocity)
+    return ErrorRegions(channel, direction, mains_hz, above, profiles, spectra, surface)
 
 
 def recent_size(test: DatasetTest, device: DeviceDescription) -> FloatArray:
@@ -232,7 +200,7 @@ def _profile(residual: FloatArray, along: FloatArray, test: DatasetTest, name: s
         edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
     place = np.clip(np.digitize(along, edges) - 1, 0, edges.size - 2)
     seconds = {"time_s": 0.02, "amplitude_n": _AMPLITUDE_WINDOW_S}.get(name, _BLOCK_S)
-    block = _block_numbers(along.size, test.sample_rate_hz, seconds)
+    block = (np.arange(along.size) / (seconds * test.sample_rate_hz)).astype(np.int64)
     error, p_values = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
     for k in range(edges.size - 1):
         inside = known & (place == k)
@@ -241,10 +209,6 @@ def _profile(residual: FloatArray, along: FloatArray, test: DatasetTest, name: s
         error[k] = float(np.sqrt(np.mean(residual[inside] ** 2)))
         p_values[k] = _p_value(residual[inside] ** 2, block[inside])
     return ErrorProfile(edges, error, _holm(p_values))
-
-
-def _block_numbers(size: int, rate_hz: float, seconds: float) -> NDArray[np.int64]:
-    return (np.arange(size) / (seconds * rate_hz)).astype(np.int64)
 
 
 def _p_value(squares: FloatArray, block: NDArray[np.int64]) -> float:
@@ -292,9 +256,7 @@ def _segments(values: FloatArray, rate_hz: float) -> tuple[FloatArray, NDArray[n
     )
 
 
-def _bands(
-    residual: FloatArray, floor: float, test: DatasetTest, mains_hz: float
-) -> tuple[tuple[tuple[float, float], ...], ErrorProfile]:
+def _bands(residual: FloatArray, floor: float, test: DatasetTest) -> ErrorProfile:
     values = np.where(np.isfinite(residual), residual, 0.0)
     hz, spectra, norm = _segments(values, test.sample_rate_hz)
     level = floor**2 / (test.sample_rate_hz / 2.0)
@@ -311,9 +273,7 @@ def _bands(
         # Half-overlapping blocks with this window are almost independent.
         spread = max(float(np.std(logs, ddof=1)), 1.0 / np.sqrt(inside.sum())) / np.sqrt(0.9 * means.size)
         p_values[k] = float(student.sf(float(np.mean(logs)) / spread, max(means.size - 1, 1)))
-    profile = ErrorProfile(edges, error, _holm(p_values))
-    narrow = ((mains_hz - 0.5, mains_hz + 0.5),) if mains_hz in MAINS_HZ else ()
-    return (*profile.intervals(), *narrow), profile
+    return ErrorProfile(edges, error, _holm(p_values))
 
 
 def spectrum(dataset: Dataset, baseline: Fit, test: DatasetTest, channel: str) -> ErrorSpectrum:

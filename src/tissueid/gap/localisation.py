@@ -138,10 +138,23 @@ _STATIC_GAIN_SHARE = 0.9
 """Least gain of a static law relative to a periodic force for the law to be preferred."""
 _LEAST_GAIN = 0.02
 """Least gain of a kind of force on held-out data that is a finding, nats a sample."""
+_READINGS = {
+    "spring": Message("evidence.reading_off_tissue", "Without tissue the position reading departs from the motion"),
+    "tissue": Message("evidence.reading_on_tissue", "On tissue the position reading departs from the motion"),
+}
+_FORCES = {
+    "spring": Message("evidence.force_off_tissue", "Unmodelled force without tissue, correlated with {kind}"),
+    "tissue": Message("evidence.force_on_tissue", "Unmodelled force on tissue, correlated with {kind}"),
+}
+"""Texts of findings on the motion off the tissue and on it."""
 _FROM_COMMAND = marked("from the command")
 _FROM_VOLTAGE_AND_MOTION = marked("from voltage and motion")
 _FROM_VOLTAGE = marked("from the voltage")
 _FROM_CURRENT = marked("from the current")
+
+
+_SIMULATED: dict[str, Stage] = {"drive": "drive", "coil": "coil", "spring": "mechanics", "tissue": "tissue"}
+"""Simulation of a single stage, and the stage."""
 
 
 @dataclass(frozen=True)
@@ -164,30 +177,6 @@ class StageFinding:
         return vars(self) | {"what": str(self.what), "message": self.what.as_dict()}
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """All findings, heaviest first.
-
-    ``nearest`` holds the error of each stage in floors, ``errors`` that of each simulation: ``drive``, ``coil``,
-    ``free current`` (from measured voltage without the position), ``spring``, ``tissue``.
-    """
-
-    findings: tuple[StageFinding, ...]
-    nearest: dict[Stage, float]
-    errors: dict[str, float]
-    followed: BackEmfShare
-    force_families: tuple[ForceFamily, ...]
-    """Kinds of unmodelled force on tissue, best first."""
-    fixture_families: tuple[ForceFamily, ...]
-    """Kinds of unmodelled force on the spring or in free air, best first."""
-    answers: dict[str, StageSimulation] = field(repr=False)
-
-
-def gather_evidence(dataset: Dataset, baseline: Fit) -> Evidence:
-    """Simulate every stage from measured upstream signals, in the tests that allow it, and return the findings."""
-    return _StageAnalysis(dataset, baseline).run()
-
-
 class _StageAnalysis:
     """The simulations of the stages in order; later ones use the results of earlier ones."""
 
@@ -195,9 +184,8 @@ class _StageAnalysis:
         self._dataset, self._baseline = dataset, baseline
         self._noise = dataset.noise
         self._has = set(dataset.recorded)
-        self._findings: list[StageFinding] = []
-        self._errors: dict[str, float] = {}
-        self._answers: dict[str, StageSimulation] = {}
+        self.findings: list[StageFinding] = []
+        self.errors: dict[str, float] = {}
         self._tissue = [test for test in dataset.tests if test.fixture == "tissue" and not test.quiet]
         self._fixture = [test for test in dataset.tests if test.fixture != "tissue" and not test.quiet]
         self._step = max((coarse_step(test.signals["position"]) for test in dataset.tests), default=0.0)
@@ -205,10 +193,9 @@ class _StageAnalysis:
         self._slipped = False
         self._floors: dict[str, float] = {}
 
-    def run(self) -> Evidence:
-        """Run all simulations."""
+    def run(self) -> None:
+        """Run all simulations; ``findings`` and ``errors`` then hold the results."""
         self._resolution()
-        self._impulses()
         self._drive()
         self._quiet()
         coil = self._coil()
@@ -217,26 +204,13 @@ class _StageAnalysis:
         tests = [test for test in self._tissue if test.repeat_of is None]
         tissue = self._simulate_motion("tissue", tests, (*MOVING, *TISSUE), on_tissue=True)
         self._assign_stage(coil, free, back_emf, mechanics, tissue)
-        self._findings.sort(key=lambda item: -item.weight)
-        return Evidence(
-            tuple(self._findings),
-            self._nearest(),
-            self._errors,
-            back_emf,
-            tuple(tissue),
-            tuple(mechanics),
-            self._answers,
-        )
+        self.findings.sort(key=lambda item: -item.weight)
 
     def _add(
         self, stage: Stage, what: Message, times: float, channel: str, floor: float, least: float = MARGIN
     ) -> None:
         if times > least:
-            self._findings.append(StageFinding(stage, what, float(np.log(times)), channel, times * floor, floor))
-
-    def _nearest(self) -> dict[Stage, float]:
-        stages: dict[str, Stage] = {"drive": "drive", "coil": "coil", "spring": "mechanics", "tissue": "tissue"}
-        return {stage: self._errors[name] for name, stage in stages.items() if name in self._errors}
+            self.findings.append(StageFinding(stage, what, float(np.log(times)), channel, times * floor, floor))
 
     # -- sensing and environment alone -------------------------------------------------------------------------
 
@@ -247,8 +221,6 @@ class _StageAnalysis:
                 "evidence.coarse_position", "Position in steps of {step_um:.3g} µm", step_um=1e6 * self._step
             )
             self._add("sensing", what, times, "position", self._noise["position"])
-
-    def _impulses(self) -> None:
         for name, whole in self._dataset.impulsive.items():
             what = Message("evidence.outliers", "Isolated outliers in the {channel}", channel=name)
             self._add("sensing", what, whole / self._noise[name], name, self._noise[name])
@@ -259,9 +231,9 @@ class _StageAnalysis:
         resting = [test for test in quiet if float(np.nanstd(_settled(test))) < _RESTING_M]
         restless = [quiet_motion(test.signals["position"], test.sample_rate_hz) for test in resting]
         floor = self._position_noise
-        self._errors["quiet"] = max(restless, default=floor) / floor
+        self.errors["quiet"] = max(restless, default=floor) / floor
         what = Message("evidence.quiet_motion", "The position moves without a command")
-        self._add("environment", what, self._errors["quiet"], "position", floor)
+        self._add("environment", what, self.errors["quiet"], "position", floor)
 
     def _without_lines(self, answer: StageSimulation, floor: float, source: str) -> float:
         """Return the largest error of a simulation in floors without mains lines, which become a finding."""
@@ -288,9 +260,8 @@ class _StageAnalysis:
             return
         floor = self._noise["voltage"]
         answer = simulate_stage(self._baseline, self._dataset.tests, (), "voltage", DRIVE, floor)
-        self._answers["drive"] = answer
-        self._errors["drive"] = self._without_lines(answer, floor, _FROM_COMMAND)
-        if self._errors["drive"] <= MARGIN:
+        self.errors["drive"] = self._without_lines(answer, floor, _FROM_COMMAND)
+        if self.errors["drive"] <= MARGIN:
             return
         moved = [
             lost_samples(test.command, test.signals["voltage"], test.sample_rate_hz)
@@ -305,10 +276,10 @@ class _StageAnalysis:
                 "The record is shifted by {count} samples against the command",
                 count=abs(worst),
             )
-            self._add("sensing", what, self._errors["drive"], "voltage", floor)
+            self._add("sensing", what, self.errors["drive"], "voltage", floor)
         else:
             what = Message("evidence.voltage", "The voltage does not follow the command")
-            self._add("drive", what, self._errors["drive"], "voltage", floor)
+            self._add("drive", what, self.errors["drive"], "voltage", floor)
 
     def _coil_floor(self) -> float:
         instrument = self._baseline.parameters.instrument(self._baseline.theta)
@@ -324,9 +295,8 @@ class _StageAnalysis:
         floor, tests = self._coil_floor(), self._dataset.tests
         names = ("voltage", "motion")
         answer = simulate_stage(self._baseline, tests, names, "current", COIL, self._noise["current"])
-        self._answers["coil"] = answer
-        self._errors["coil"] = self._without_lines(answer, floor, _FROM_VOLTAGE_AND_MOTION)
-        return self._errors["coil"]
+        self.errors["coil"] = self._without_lines(answer, floor, _FROM_VOLTAGE_AND_MOTION)
+        return self.errors["coil"]
 
     def _free(self) -> tuple[float, BackEmfShare]:
         """Return the error of the current from the voltage, and which motion it follows: recorded or simulated."""
@@ -337,14 +307,13 @@ class _StageAnalysis:
         floor = self._noise["current"]
         free = (*COIL, *MOVING[1:], *TISSUE, *SPRING)
         answer = simulate_stage(self._baseline, tests, ("voltage",), "current", free, floor, ("position",))
-        self._answers["free current"] = answer
-        self._errors["free current"] = self._without_lines(answer, floor, _FROM_VOLTAGE)
+        self.errors["free current"] = self._without_lines(answer, floor, _FROM_VOLTAGE)
         back_emf = [back_emf_share(self._baseline, answer, test, floor, self._position_noise) for test in tests]
         weights = np.array([item.error**-2.0 for item in back_emf])
         if not weights.sum() > 0.0:
-            return self._errors["free current"], unknown
+            return self.errors["free current"], unknown
         shares = np.nan_to_num([item.share for item in back_emf])
-        return self._errors["free current"], BackEmfShare(
+        return self.errors["free current"], BackEmfShare(
             float(weights @ shares / weights.sum()), float(weights.sum() ** -0.5)
         )
 
@@ -371,14 +340,13 @@ class _StageAnalysis:
             afresh = self._baseline.parameters.array("start")
             again = simulate_stage(self._baseline, tests, upstream, "position", free, floor, theta=afresh)
             answer = again if _worst(again) < _worst(answer) else answer
-        self._answers[name] = answer
         self._without_lines(answer, floor, _FROM_CURRENT)
         found = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
         if found and found[0].left > _UNCHANGED_ERROR_SHARE * found[0].before > _UNCHANGED_ERROR_SHARE * MARGIN:
             # If recorded and simulated motion differ much, as at an end stop, the force depends on the recorded one.
             along = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue, recorded=True)
             found = along if along[0].left < found[0].left else found
-        self._errors[name] = found[0].before if found else 1.0
+        self.errors[name] = found[0].before if found else 1.0
         return _without_periodic_motion(found)
 
     def _assign_stage(
@@ -392,10 +360,10 @@ class _StageAnalysis:
         wrong_reading = (
             bool(np.isfinite(back_emf.share)) and back_emf.error < 0.04 and back_emf.share + 2.0 * back_emf.error < 0.2
         )
-        if self._fixture and self._errors["spring"] <= MARGIN:
+        if self._fixture and self.errors["spring"] <= MARGIN:
             # A faulty sensor is faulty on the spring as well.
             wrong_reading = False
-        drive = self._errors.get("drive", 1.0)
+        drive = self.errors.get("drive", 1.0)
         if coil > MARGIN and not self._slipped:
             # A voltage that the amplifier does not deliver is missing in the current.
             resistance = self._dataset.instrument.coil_resistance_ohm
@@ -418,29 +386,30 @@ class _StageAnalysis:
             else:
                 what = Message("evidence.current", "The current does not follow from voltage and motion")
                 self._add("coil", what, coil, "current", self._coil_floor())
-        at_coil = any(item.stage == "coil" for item in self._findings)
+        at_coil = any(item.stage == "coil" for item in self.findings)
         for name, found in (("spring", mechanics), ("tissue", tissue)):
-            times = self._errors.get(name, 1.0)
+            times = self.errors.get(name, 1.0)
             if not found or self._slipped or max(times / MARGIN, found[0].gain / _LEAST_GAIN) <= 1.0:
                 continue
             floor = self._floors[name]
             if wrong_reading and not at_coil:
-                self._add("sensing", _reading(name), times, "position", floor)
+                self._add("sensing", _READINGS[name], times, "position", floor)
                 continue
             chosen = self._force_at_fault(name, found, at_coil, coil)
-            self._add(chosen.stage, _force(name, chosen.kind), times, "position", floor, least=1.0)
+            what = Message(_FORCES[name].code, _FORCES[name].template, kind=chosen.kind)
+            self._add(chosen.stage, what, times, "position", floor, least=1.0)
 
     def _force_at_fault(self, name: str, found: Sequence[ForceFamily], at_coil: bool, coil: float) -> ForceFamily:
         if not (coil > MARGIN and _late(found)) or at_coil:
             found = [item for item in found if item.stage != "drive"]
-        on_fixture = self._errors.get("spring", 1.0) > MARGIN
+        on_fixture = self.errors.get("spring", 1.0) > MARGIN
         best = found[0]
         if name == "tissue" and self._fixture and not on_fixture:
             # An effect that is absent on the spring belongs to the tissue or the surroundings.
             return next((item for item in found if item.stage in ("tissue", "environment")), best)
         if name == "tissue" and on_fixture:
             best = next((item for item in found if item.stage not in ("tissue", "environment")), best)
-        if self._errors.get("quiet", 1.0) > MARGIN and self._errors["quiet"] > 0.3 * self._errors[name]:
+        if self.errors.get("quiet", 1.0) > MARGIN and self.errors["quiet"] > 0.3 * self.errors[name]:
             return next((item for item in found if item.stage == "environment"), best)
         if best.kind == PERIODIC and not on_fixture:
             # Over about one period a periodic force imitates any curved law, and a law of the tissue is likelier.
@@ -448,20 +417,6 @@ class _StageAnalysis:
             best = law if law.gain >= _STATIC_GAIN_SHARE * best.gain else best
         ours = next((item for item in found if item.stage == "coil"), best)
         return ours if at_coil and ours.gain > 0.3 * best.gain else best
-
-
-def _reading(name: str) -> Message:
-    if name == "spring":
-        return Message("evidence.reading_off_tissue", "Without tissue the position reading departs from the motion")
-    return Message("evidence.reading_on_tissue", "On tissue the position reading departs from the motion")
-
-
-def _force(name: str, kind: str) -> Message:
-    if name == "spring":
-        return Message(
-            "evidence.force_off_tissue", "Unmodelled force without tissue, correlated with {kind}", kind=kind
-        )
-    return Message("evidence.force_on_tissue", "Unmodelled force on tissue, correlated with {kind}", kind=kind)
 
 
 def _without_periodic_motion(found: Sequence[ForceFamily]) -> list[ForceFamily]:
@@ -491,14 +446,17 @@ class Localisation:
     """Stage and regions in which a recording differs from the refitted baseline.
 
     ``stage`` has the largest of the ``shares``, which add up to 1. All shares are 0 where nothing is above the floor;
-    ``stage`` is then the closest to it. ``findings`` give the reasons.
+    ``stage`` is then the closest to it. ``findings`` give the reasons, heaviest first. ``nearest`` holds the error of
+    each stage in floors, ``errors`` that of each simulation: ``drive``, ``coil``, ``free current`` (from measured
+    voltage without the position), ``spring``, ``tissue``.
     """
 
     stage: Stage
     shares: dict[Stage, float]
     findings: tuple[StageFinding, ...]
     regions: ErrorRegions
-    evidence: Evidence = field(repr=False)
+    nearest: dict[Stage, float] = field(repr=False)
+    errors: dict[str, float] = field(repr=False)
 
     @property
     def above_floor(self) -> bool:
@@ -530,11 +488,14 @@ def localise(dataset: Dataset, baseline: Candidate) -> Localisation:
         dataset: the tests.
         baseline: the refitted baseline with its errors on held-out data.
     """
-    found = gather_evidence(without_outliers(dataset, baseline.fit), baseline.fit)
+    found = _StageAnalysis(without_outliers(dataset, baseline.fit), baseline.fit)
+    found.run()
+    nearest = {stage: found.errors[name] for name, stage in _SIMULATED.items() if name in found.errors}
     weights = dict.fromkeys(STAGES, 0.0)
     for item in found.findings:
         weights[item.stage] = max(weights[item.stage], item.weight)
     total = sum(weights.values())
     shares = {stage: weight / total if total > 0.0 else 0.0 for stage, weight in weights.items()}
-    blamed = max(STAGES, key=lambda stage: (weights[stage], found.nearest.get(stage, 0.0)))
-    return Localisation(blamed, shares, found.findings, find_error_regions(dataset, baseline.fit), found)
+    blamed = max(STAGES, key=lambda stage: (weights[stage], nearest.get(stage, 0.0)))
+    regions = find_error_regions(dataset, baseline.fit)
+    return Localisation(blamed, shares, tuple(found.findings), regions, nearest, found.errors)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -270,32 +270,30 @@ def _stage_sentences(found: Diagnosis) -> Iterator[Message]:
             )
 
 
+_REGIONS: Mapping[str, tuple[Message, float, str]] = {
+    "bands_hz": (Message("gap.at_frequencies", "from {spans}"), 1.0, "Hz"),
+    "depth_m": (Message("gap.at_depths", "at depths of {spans}"), 1e3, "mm"),
+    "current_a": (Message("gap.at_currents", "at currents of {spans}"), 1.0, "A"),
+    "amplitude_n": (
+        Message("gap.at_amplitudes", "at an amplitude (of the stimulus over the last 0.1 s) of {spans}"),
+        1.0,
+        "N",
+    ),
+    "mains_phase_rad": (
+        Message("gap.at_mains_phases", "at phases of the mains ({hertz} Hz) of {spans}"),
+        180.0 / np.pi,
+        marked("degrees"),
+    ),
+}
+"""Region: its text, factor from SI to its unit, and unit."""
+
+
 def _region_sentences(found: Diagnosis) -> Iterator[Message]:
-    regions = found.where.regions
-    where = []
-    if regions.bands_hz:
-        where.append(Message("gap.at_frequencies", "from {spans}", spans=_spans(regions.bands_hz, 1.0, "Hz")))
-    if regions.depth_m:
-        where.append(Message("gap.at_depths", "at depths of {spans}", spans=_spans(regions.depth_m, 1e3, "mm")))
-    if regions.current_a:
-        where.append(Message("gap.at_currents", "at currents of {spans}", spans=_spans(regions.current_a, 1.0, "A")))
-    if regions.amplitude_n:
-        where.append(
-            Message(
-                "gap.at_amplitudes",
-                "at an amplitude (of the stimulus over the last 0.1 s) of {spans}",
-                spans=_spans(regions.amplitude_n, 1.0, "N"),
-            )
-        )
-    if regions.mains_phase_rad:
-        where.append(
-            Message(
-                "gap.at_mains_phases",
-                "at phases of the mains ({hertz} Hz) of {spans}",
-                hertz=number(regions.mains_hz, 3),
-                spans=_spans(regions.mains_phase_rad, 180.0 / np.pi, marked("degrees")),
-            )
-        )
+    regions, where = found.where.regions, []
+    for name, (text, scale, unit) in _REGIONS.items():
+        if intervals := regions.above[name]:
+            mains = {"hertz": number(regions.mains_hz, 3)} if name == "mains_phase_rad" else {}
+            where.append(Message(text.code, text.template, spans=_spans(intervals, scale, unit), **mains))
     if where:
         yield Message(
             "gap.shows_most",

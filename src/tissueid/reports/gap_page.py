@@ -84,9 +84,9 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
             yield table
     if found.detection_limits:
         yield _limits(found, called)
-    if where.evidence.errors:
+    if where.errors:
         unasked = set() if any(test.quiet for test in found.dataset.tests) else {"quiet"}
-        asked = {name: times for name, times in where.evidence.errors.items() if name not in unasked}
+        asked = {name: times for name, times in where.errors.items() if name not in unasked}
         errors = tuple((_(_QUESTIONS.get(name, name)), times_noise(times)) for name, times in asked.items())
         whole = ""
         if found.verdict == "no_gap":
