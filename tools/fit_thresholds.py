@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 from tissueid.gap.thresholds import THRESHOLDS
-from tissueid_lab.blind_check.scenarios import seal
+from tissueid_lab.blind_check.answers import seal
 from tissueid_lab.blind_check.threshold_fit import (
     DECISION,
     PROBABILITY,

@@ -20,7 +20,7 @@ from firmware_sim.second_laboratory.scenarios import draw_scenario, planned
 from firmware_sim.second_laboratory.sizing import Sizer
 from firmware_sim.second_laboratory.stimuli import KINDS, MOST, Stimulus
 from tissueid.twin.catalogue import all_effects
-from tissueid_lab.blind_check.scenarios import alone_sessions, read_scenario, scenario_names, unseal
+from tissueid_lab.blind_check.answers import alone_sessions, read_scenario, scenario_names, unseal
 
 SECONDS = 0.3
 STIMULUS = Stimulus("gaussian", 120.0, 3, False)

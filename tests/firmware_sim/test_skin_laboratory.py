@@ -22,7 +22,7 @@ from firmware_sim.laboratory.skin import (
 )
 from firmware_sim.plant import Plant
 from tissueid.twin.catalogue import all_effects
-from tissueid_lab.blind_check.scenarios import earlier_session, read_scenario, scenario_names, unseal
+from tissueid_lab.blind_check.answers import earlier_session, read_scenario, scenario_names, unseal
 
 pytestmark = pytest.mark.timeout(600)  # the first test compiles the loop, on a busy machine for minutes
 

@@ -34,6 +34,7 @@ class Watched:
 class Baseline:
     fit: Stub
     checked_by: tuple
+    quiet: tuple = ()
 
 
 def baseline(left, noise=1e-6, seed=2):

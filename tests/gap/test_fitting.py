@@ -103,7 +103,7 @@ def test_the_cost_is_residuals_and_priors():
     assert found.cost == pytest.approx(float(found.residuals @ found.residuals + off @ off), rel=1e-9)
     serving = int(observed().tests[0].serving(Purpose.FIT).sum())
     assert found.residuals.shape == (3 * serving,)
-    assert found.jacobian.shape == (3 * serving, found.parameters.size)
+    assert found.jacobian.shape == (3 * serving, len(found.parameters.coordinates))
 
 
 def test_bounds_hold_where_the_truth_lies_beyond():

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from coded import shows
+from coded import says
 
 from tissueid.gap.diagnosis_plots import history_plot
 from tissueid.gap.statement import GapHistory, GapHistoryEntry, history_headline
@@ -42,12 +42,12 @@ def test_sessions_are_in_order_of_time_and_the_first_that_grew_is_known():
 
 def test_the_headline_names_session_and_cause():
     line, level = history_headline(GapHistory.of(SESSIONS[:1]))
-    assert shows(str(line), "watch.grown", file="c.h5")
+    assert says(line, "watch.grown", file="c.h5")
     assert level == "check"
     quiet = GapHistory.of([SESSIONS[3], UNUSABLE])
     assert quiet.first_grown is None
     line, level = history_headline(quiet)
-    assert shows(str(line), "watch.not_grown", count=1)
+    assert says(line, "watch.not_grown", count=1)
     assert level == "good"
 
 

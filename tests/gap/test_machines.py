@@ -62,7 +62,7 @@ def test_friction_of_a_servo_axis_in_closed_loop_is_named():
 
 
 def test_loops_that_harden_are_named_with_their_parameters():
-    found = diagnosed(bouc_wen(2, 5.0, BoucWen(noise_m=2e-6)), "tissue_hysteresis", "dry_friction")
+    found = diagnosed(bouc_wen(2, 3.5, BoucWen(noise_m=2e-6)), "tissue_hysteresis", "dry_friction")
     about = found.dataset.equivalent
     assert (about.family, about.restart_s) == ("oscillator", None)
     assert found.combination == ("tissue_hysteresis",)

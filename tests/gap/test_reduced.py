@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -81,6 +82,7 @@ def test_the_chain_begins_with_what_was_recorded_and_fits_to_the_noise(kept, dri
     assert ("coil" in stages) == (driven_by != "current")
 
 
+@cache
 def duffing(cubic, seconds=12.0, rate=600.0, seed=3, amplitude=0.03):
     """Return input and output (V) of a 40 Hz resonance on a hardening spring, by adaptive Runge-Kutta."""
     random = np.random.default_rng(seed)
@@ -127,7 +129,7 @@ def test_a_hardening_spring_is_separated_from_drag():
 
 
 def test_the_scale_of_a_bare_record_does_not_matter():
-    signals = duffing(6.0, seconds=4.0)
+    signals = duffing(6.0, seconds=3.0)
     other = {"input": 1e3 * signals["input"], "output": 1e-6 * signals["output"] + 5.0}
     one, two = prepare(bare(signals)), prepare(bare(other))
     np.testing.assert_allclose(one.tests[0].signals["position"], two.tests[0].signals["position"], atol=1e-9)
@@ -135,7 +137,7 @@ def test_the_scale_of_a_bare_record_does_not_matter():
 
 
 def test_effects_that_a_record_cannot_show_are_left_out():
-    observed = prepare(bare(duffing(0.0, seconds=4.0)))
+    observed = prepare(bare(duffing(0.0)))
     known = {name: item.stage for name, item in effects_of(observed).items() if applicable(observed, item)}
     assert set(known.values()) == {"drive", "mechanics", "tissue", "sensing"}
     # Of the drive only a nonlinear law: a linear one is part of the oscillator.

@@ -106,9 +106,9 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
     monkeypatch.setattr(BlindScenario, "diagnosed", diagnosed)
     assert main([*blind, "--n", "2", "--seed", "9", "--full-share", "0"]) == 130
     assert shows(capsys.readouterr().err, "blind.interrupted")
-    assert shows(refused(capsys, *blind, "--resume", "--n", 3), "blind.other_option", option="--n", held=2.0, asked=3.0)
+    assert shows(refused(capsys, *blind, "--resume", "--n", 3), "blind.other_option", option="--n", held="2", asked="3")
     other = refused(capsys, *blind, "--resume", "--laboratory", "second")
-    assert shows(other, "blind.other_laboratory", folder=str(kept), held="first", asked="second")
+    assert shows(other, "blind.other_option", option="--laboratory", held="first", asked="second")
     assert main([*blind, "--resume", "--seed", "9", "--out", str(page), "--json", str(out)]) == 0
     assert answered == ["scenario-0001", "interrupted", "scenario-0002"]
     found = json.loads(out.read_text())

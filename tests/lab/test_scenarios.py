@@ -12,7 +12,7 @@ from gap_records import DEVICE, scenario
 
 from firmware_sim.laboratory.scenario_generation import draw_scenario, write
 from tissueid.errors import UnusableInputError
-from tissueid_lab.blind_check.scenarios import LABELS, alone_sessions, read_scenario, scenario_names, seal, unseal
+from tissueid_lab.blind_check.answers import LABELS, alone_sessions, read_scenario, scenario_names, seal, unseal
 from tissueid_lab.blind_check.scoring import Label
 
 NAME = "scenario-0001"

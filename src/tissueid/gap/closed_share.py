@@ -270,18 +270,12 @@ def figures_of(baseline: Candidate, best: Candidate | None) -> GapFigures:
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
     after = before if best is None else gap_left(baseline.checked_by, best.checked_by, quiet)
     shut = closed(before, after, least)
-    promised, interval = float("nan"), (float("nan"), float("nan"))
-    if best is not None:
-        promised = best.predicted_closed(baseline)
-        interval = closed_interval(baseline, best)
-    return GapFigures(before, after, least, shut, interval, promised)
-
-
-def closed_interval(baseline: Candidate, best: Candidate) -> tuple[float, float]:
-    """Return the 95 % interval of the closed share by a widened bootstrap over the stretches of the check."""
-    before = stretches(baseline)
-    drawn = closed_in_draws(before, stretches(best), draws_of(len(before)), baseline.quiet)
-    return widened(best.closed(baseline), drawn, len(before))
+    if best is None:
+        return GapFigures(before, after, least, shut, (float("nan"), float("nan")), float("nan"))
+    in_stretches = stretches(baseline)
+    drawn = closed_in_draws(in_stretches, stretches(best), draws_of(len(in_stretches)), quiet)
+    interval = widened(best.closed(baseline), drawn, len(in_stretches))
+    return GapFigures(before, after, least, shut, interval, best.predicted_closed(baseline))
 
 
 def draws_of(count: int) -> IntArray:

@@ -194,7 +194,7 @@ def diagnose(
         _with_stage_of_cause(places, named, known),
         ranking,
         () if named is None else tuple(name for name in named.effects if name not in known),
-        _next(dataset, found, ranking, places, verdict, odds),
+        _next(dataset, found, ranking, verdict, odds),
         remarks,
         time.monotonic() - began,
         dataset,
@@ -255,7 +255,6 @@ def _next(
     dataset: Dataset,
     found: SearchResult,
     ranking: Sequence[Ranked],
-    places: Localisation,
     verdict: Verdict,
     odds: Mapping[str, tuple[tuple[str, float], ...]],
 ) -> NextExperiment | None:
@@ -265,14 +264,8 @@ def _next(
         certain = all(dict(rivals).get(name, 0.0) >= CERTAIN for name, rivals in odds.items())
     if verdict == "no_gap" or (verdict == "effect" and certain):
         return None
-    singles = found.singles
-    return next_experiment(dataset, singles, _probabilities(found, singles, places))
-
-
-def _probabilities(found: SearchResult, singles: Sequence[Candidate], places: Localisation) -> list[float]:
-    best = min(singles, key=cost, default=None)
-    clearly = best is not None and needs_strict_fit(best, places, found.baseline.effects)
-    return probabilities(found.baseline.score, [cost(item) for item in singles], clearly=clearly)
+    singles = sorted(found.singles, key=cost)[:RANKED]
+    return next_experiment(dataset, singles, [item.probability for item in ranking])
 
 
 def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]) -> bool:
@@ -303,43 +296,27 @@ def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Seq
 
 
 def _ranking(found: SearchResult, places: Localisation) -> tuple[Ranked, ...]:
-    known = set(found.baseline.effects)
+    baseline = found.baseline
     singles = sorted(found.singles, key=cost)
-    shares = _probabilities(found, singles, places)
-    surviving = _surviving(found, singles)
+    clearly = bool(singles) and needs_strict_fit(singles[0], places, baseline.effects)
+    shares = probabilities(baseline.score, [cost(item) for item in singles], clearly=clearly)
+    names = [name for item in singles for name in item.added_to(baseline)]
+    # The part of the baseline's residuals that each candidate explains, after a refit of everything else.
+    screen = Screen(baseline.fit)
+    surviving = [screen.surviving(baseline.fit.residuals - item.fit.residuals) for item in singles]
     ranking = []
     for k, item in enumerate(singles[:RANKED]):
-        name = next(name for name in item.effects if name not in known)
         alike = tuple(
             other
-            for j, other in enumerate(_names(singles, known))
+            for j, other in enumerate(names)
             if j != k
             and abs(cost(singles[j]) - cost(item)) < THRESHOLDS.alike_cost
             and cosine(surviving[k], surviving[j]) > THRESHOLDS.alike_cosine
         )
-        figures = figures_of(found.baseline, item)
-        ranking.append(
-            Ranked(
-                name,
-                effect(name).stage,
-                shares[k],
-                figures.closed,
-                figures.closed_ci,
-                alike,
-                parameters_of(item, name),
-            )
-        )
+        figures, name = figures_of(baseline, item), names[k]
+        stage, values = effect(name).stage, parameters_of(item, name)
+        ranking.append(Ranked(name, stage, shares[k], figures.closed, figures.closed_ci, alike, values))
     return tuple(ranking)
-
-
-def _names(singles: Sequence[Candidate], known: set[str]) -> list[str]:
-    return [next(name for name in item.effects if name not in known) for item in singles]
-
-
-def _surviving(found: SearchResult, singles: Sequence[Candidate]) -> list[np.ndarray]:
-    # The part of the baseline's residuals that each refitted candidate explains, after a refit of everything else.
-    screen = Screen(found.baseline.fit)
-    return [screen.surviving(found.baseline.fit.residuals - item.fit.residuals) for item in singles]
 
 
 def effect_in(candidate: Candidate, name: str) -> Effect:

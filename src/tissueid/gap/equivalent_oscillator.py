@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -190,8 +191,7 @@ def equivalent(
     speed = float(np.sqrt(np.mean([np.var(np.diff(output)) for _, output in records]))) * sample_rate_hz
     lines = frequency_response(records, sample_rate_hz)
     found = [(*_fitted(lines, sample_rate_hz, held), held) for held in (False, True)]
-    left, delay, figures, held = found[1] if found[1][0] < _HELD_ERROR_RATIO * found[0][0] else found[0]
-    del left
+    _, delay, figures, held = found[1] if found[1][0] < _HELD_ERROR_RATIO * found[0][0] else found[0]
     slowness = motion / max(speed, 1e-30)
     output_m = min(max(MOTION_M, SPEED_M_S * slowness), MOST_MOTION_M) / motion
     stiffness, damping, mass = figures
@@ -239,17 +239,13 @@ def _fitted(lines: FrequencyResponse, rate: float, held: bool) -> tuple[float, f
     """Return residual, delay and (stiffness, damping, mass) with the least residual on a grid of delays."""
     short = min(
         (_at_delay(lines, samples / rate, rate, held) for samples in np.linspace(-1.0, MOST_DELAY_SAMPLES, DELAYS)),
-        key=_left,
+        key=itemgetter(0),
     )
     few = lines.every(max(1, lines.omega.size // _FEW_LINES))
-    coarse = min((_at_delay(few, samples / rate, rate, held) for samples in range(3, LONGEST_DELAY)), key=_left)
+    coarse = min((_at_delay(few, samples / rate, rate, held) for samples in range(3, LONGEST_DELAY)), key=itemgetter(0))
     near = coarse[1] * rate + np.linspace(-1.0, 1.0, 9)
-    long = min((_at_delay(lines, samples / rate, rate, held) for samples in near), key=_left)
+    long = min((_at_delay(lines, samples / rate, rate, held) for samples in near), key=itemgetter(0))
     return long if long[0] < _HELD_ERROR_RATIO * short[0] else short
-
-
-def _left(item: tuple[float, float, tuple[float, float, float]]) -> float:
-    return item[0]
 
 
 def _at_delay(

@@ -32,7 +32,7 @@ _RIDGE = 1e-7
 _PER_COLUMN = 0.002
 """Penalty of each shape, nats a sample: a larger family is not better because of its size."""
 _MEMORIES_S = (0.005, 0.02, 0.08, 0.3, 1.2)
-_PLAYS_M = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
+_PLAYS_M = (1e-4, 3e-4, 1e-3)
 _SLIPS_M_S = (0.001, 0.005, 0.02)
 _DELAYS_S = (0.015, 0.025, 0.035, 0.05, 0.07, 0.1)
 _PITCHES_M = np.geomspace(0.0008, 0.008, 18)
@@ -294,17 +294,23 @@ def _shapes(courses: Sequence[Trajectory], on_tissue: bool) -> Iterator[tuple[St
     """Yield stage, kind and shapes in each test, shape (shapes, n)."""
     yield "mechanics", marked("friction"), [_friction(one) for one in courses]
     yield "mechanics", marked("direction-dependent friction"), [_directional_friction(one) for one in courses]
-    yield "mechanics", marked("speed"), [np.stack([_signed_square(one.velocity), one.velocity**3]) for one in courses]
+    yield (
+        "mechanics",
+        marked("speed"),
+        [np.stack([one.velocity * np.abs(one.velocity), one.velocity**3]) for one in courses],
+    )
     yield "drive", marked("delay"), [np.diff(one.current, prepend=one.current[0])[None, :] for one in courses]
-    squares = [np.stack([_signed_square(one.current), one.current**2]) for one in courses]
+    squares = [np.stack([one.current * np.abs(one.current), one.current**2]) for one in courses]
     yield "coil", marked("current squared"), squares
     yield "coil", CURRENT_AND_TIME, [_by_time(one, one.current) for one in courses]
     yield "mechanics", marked("speed and time"), [_by_time(one, one.velocity) for one in courses]
     along_stroke = [one.current * _powers(one.position - 0.012, 3, 0.004) for one in courses]
     yield "coil", marked("current and position"), along_stroke
-    ends = _ends(courses)
-    yield "mechanics", marked("the end of the stroke"), [_beyond(one, ends) for one in courses]
-    travelled = np.ptp(_reach(courses, of_position=True))
+    positions = np.concatenate([one.position for one in courses])
+    beyond = [np.maximum(one.position - float(np.quantile(positions, 0.97)), 0.0) for one in courses]
+    stops = [np.stack([above, above * one.velocity]) for one, above in zip(courses, beyond, strict=True)]
+    yield "mechanics", marked("the end of the stroke"), stops
+    travelled = np.ptp(_reach(positions))
     for pitch in _PITCHES_M[_LONGEST_PITCH * travelled > _PITCHES_M]:
         waves = [np.stack(_waves(2.0 * np.pi * one.position / pitch, 2)) for one in courses]
         yield "mechanics", PERIODIC, waves
@@ -313,11 +319,11 @@ def _shapes(courses: Sequence[Trajectory], on_tissue: bool) -> Iterator[tuple[St
     if not on_tissue:
         yield "mechanics", marked("position"), [_powers(one.depth, 5, 0.003) for one in courses]
         return
-    low, high = _reach(courses)
+    low, high = _reach(np.concatenate([one.depth for one in courses]))
     yield "tissue", DEPTH, [_splines(one.depth, low, high, 10) for one in courses]
     yield "tissue", marked("direction"), [_by_direction(one) for one in courses]
     yield "tissue", PAST, [_memory(one) for one in courses]
-    yield "tissue", HYSTERESIS, [_loops(one) for one in courses]
+    yield "tissue", HYSTERESIS, [np.stack([_play(one.depth, radius) for radius in _PLAYS_M]) for one in courses]
     yield "tissue", WORK, [_work(one) for one in courses]
     yield "tissue", marked("acceleration and depth"), [_mass(one) for one in courses]
     yield "tissue", marked("lift-off"), [_lifted(one) for one in courses]
@@ -325,10 +331,6 @@ def _shapes(courses: Sequence[Trajectory], on_tissue: bool) -> Iterator[tuple[St
         yield "tissue", marked("earlier stretch"), [_response(one, delay) for one in courses]
     for hz in _RHYTHMS_HZ:
         yield "environment", marked("periodic motion of the surface"), [_periodic_motion(one, hz) for one in courses]
-
-
-def _signed_square(values: FloatArray) -> FloatArray:
-    return values * np.abs(values)
 
 
 def _powers(values: FloatArray, count: int, scale: float) -> FloatArray:
@@ -341,7 +343,7 @@ def _waves(phase: FloatArray, harmonics: int) -> list[FloatArray]:
 
 def _friction(one: Trajectory) -> FloatArray:
     rows = [np.tanh(one.velocity / slip) for slip in _SLIPS_M_S]
-    return np.stack([*rows, one.position - _play(one.position, _PLAYS_M[0]), one.position - _play(one.position, 5e-5)])
+    return np.stack([*rows, *(one.position - _play(one.position, radius) for radius in (1e-5, 5e-5))])
 
 
 def _directional_friction(one: Trajectory) -> FloatArray:
@@ -358,10 +360,6 @@ def _memory(one: Trajectory) -> FloatArray:
     pressed = one.depth * one.growth_stiffness
     kept = [np.exp(-1.0 / (one.test.sample_rate_hz * memory)) for memory in _MEMORIES_S]
     return np.stack([_smoothed(pressed, k) for k in kept])
-
-
-def _loops(one: Trajectory) -> FloatArray:
-    return np.stack([_play(one.depth, radius) for radius in _PLAYS_M[2:]])
 
 
 def _work(one: Trajectory) -> FloatArray:
@@ -410,20 +408,8 @@ def _periodic_motion(one: Trajectory, hz: float) -> FloatArray:
     return np.stack(rows) * one.stiffness
 
 
-def _ends(courses: Sequence[Trajectory]) -> tuple[float, float]:
-    positions = np.concatenate([one.position for one in courses])
-    low, high = np.quantile(positions, [0.01, 0.97])
-    return float(low), float(high)
-
-
-def _beyond(one: Trajectory, ends: tuple[float, float]) -> FloatArray:
-    above = np.maximum(one.position - ends[1], 0.0)
-    return np.stack([above, above * one.velocity])
-
-
-def _reach(courses: Sequence[Trajectory], *, of_position: bool = False) -> tuple[float, float]:
-    depths = np.concatenate([one.position if of_position else one.depth for one in courses])
-    low, high = np.quantile(depths, [0.002, 0.998])
+def _reach(values: FloatArray) -> tuple[float, float]:
+    low, high = np.quantile(values, [0.002, 0.998])
     return float(low), max(float(high), float(low) + 1e-5)
 
 

@@ -255,10 +255,6 @@ def _lines(dataset: Dataset) -> FrequencyResponse:
     return found.every(max(1, found.omega.size // _MOST_LINES))
 
 
-def _way(lines: FrequencyResponse, about: Equivalent) -> NDArray[np.complex128]:
-    return np.asarray(np.exp(-1j * lines.omega * about.delay_s), np.complex128)
-
-
 def _residual(
     lines: FrequencyResponse, about: Equivalent, order: int, *more: NDArray[np.complex128]
 ) -> tuple[float, FloatArray]:
@@ -274,7 +270,7 @@ def _residual(
     weight = np.sqrt(np.minimum(weight, 1.0)) * np.ones_like(lines.omega)
     size = np.maximum(np.sqrt(np.mean(np.abs(design) ** 2, axis=0)), 1e-300)
     rows = weight[:, None] * design / size
-    target = weight * _way(lines, about)
+    target = weight * np.exp(-1j * lines.omega * about.delay_s)
     found, left = nnls(np.concatenate([rows.real, rows.imag]), np.concatenate([target.real, target.imag]))
     return float(left**2), np.asarray(found / size)
 

@@ -114,7 +114,8 @@ def next_experiment(
     gain, separation, chosen = max(found, key=lambda entry: entry[0])
     if gain < LEAST_GAIN_NATS:
         return None
-    names = tuple(dict.fromkeys(name for rival in rivals for name in _own(rival, rivals)))
+    shared = set.intersection(*(set(rival.effects) for rival in rivals))
+    names = tuple(dict.fromkeys(name for rival in rivals for name in rival.effects if name not in shared))
     gains = {item.kind: each for each, _, item in found}
     others = sorted((each for each in gains.values()), reverse=True)
     why = Message(
@@ -149,11 +150,6 @@ def settings_of(dataset: Dataset, chosen: CandidateTest) -> TestSettings:
 def odds(gain_nats: float) -> str:
     """Return an expected gain in evidence (nats) as odds, with two digits."""
     return number(float(np.exp(min(gain_nats, _MOST_NATS))), 2)
-
-
-def _own(rival: Candidate, rivals: Sequence[Candidate]) -> list[str]:
-    # Effects that not all rivals share.
-    return [name for name in rival.effects if not all(name in other.effects for other in rivals)]
 
 
 def _noise(dataset: Dataset, best: Candidate) -> dict[str, float]:

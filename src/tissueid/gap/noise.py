@@ -120,22 +120,22 @@ def rests(dataset: Dataset) -> bool:
     A position in steps can conceal a motion. Nothing is subtracted: a slow wave looks like a trend.
     """
     quiet = [test for test in dataset.tests if test.quiet and test.fixture == "tissue"]
-    return bool(quiet) and all(_is_noise(test, dataset.noise.get("position", 0.0)) for test in quiet)
+    for test in quiet:
+        position = test.signals["position"]
+        settled = position[settling_samples(position.size, test.sample_rate_hz) :]
+        if coarse_step(position) or not np.isfinite(settled).any():
+            return False
+        if not float(np.nanstd(settled)) <= MARGIN * dataset.noise.get("position", 0.0):
+            return False
+    return bool(quiet)
 
 
-def _is_noise(test: DatasetTest, noise: float) -> bool:
-    position = test.signals["position"]
-    settled = position[settling_samples(position.size, test.sample_rate_hz) :]
-    if coarse_step(position) or not np.isfinite(settled).any():
-        return False
-    return float(np.nanstd(settled)) <= MARGIN * noise
+def lost_samples(reference: FloatArray, signal: FloatArray, rate_hz: float) -> int:
+    """Return the shift of a signal against its reference over a test, samples (positive: behind); 0 where it is
+    constant.
 
-
-def lags(reference: FloatArray, signal: FloatArray, rate_hz: float) -> tuple[NDArray[np.int64], float]:
-    """Return the lag (positive: behind) of a signal in each quarter second, samples, shape (blocks,).
-
-    Blocks in which the reference hardly changes are left out. Also return the share of the squared difference that
-    remains once each block is shifted.
+    The lag of each quarter second is that of the least squared difference. Blocks in which the reference hardly changes
+    are left out.
     """
     block = max(32, round(_BLOCK_S * rate_hz))
     one, other = interpolated(reference), interpolated(signal)
@@ -150,15 +150,9 @@ def lags(reference: FloatArray, signal: FloatArray, rate_hz: float) -> tuple[NDA
         ]
         found.append(int(np.argmin(errors)) - _MOST_LAG)
         before, after = before + errors[_MOST_LAG], after + min(errors)
-    return np.array(found, np.int64), after / before if before > 0.0 else 1.0
-
-
-def lost_samples(reference: FloatArray, signal: FloatArray, rate_hz: float) -> int:
-    """Return the shift of a signal against its reference over a test, samples; 0 where it is constant."""
-    found, stays = lags(reference, signal, rate_hz)
-    if found.size < 4 or stays > _MOST_REMAINING:
+    if len(found) < 4 or not after <= _MOST_REMAINING * before or before == 0.0:
         return 0
-    moved = int(found[-1] - found[0])
+    moved = found[-1] - found[0]
     # Losses accumulate: most changes of the lag have one sign.
     steps = np.diff(found)
     same = np.sum(np.sign(steps) == np.sign(moved)) if moved else 0

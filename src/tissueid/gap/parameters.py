@@ -48,14 +48,15 @@ class Coordinate:
     """Number of its test; None where all tests share it."""
 
 
-_INSTRUMENT = (
-    ("amplifier_gain", "amplifier_gain"),
-    ("resistance_ohm", "coil_resistance_ohm"),
-    ("inductance_h", "coil_inductance_h"),
-    ("force_constant_n_per_a", "force_constant_n_per_a"),
-    ("moving_mass_kg", "moving_mass_kg"),
-    ("bearing_damping_n_s_per_m", "bearing_damping_n_s_per_m"),
-)
+INSTRUMENT_COORDINATES = {
+    "amplifier_gain": "amplifier_gain",
+    "resistance_ohm": "coil_resistance_ohm",
+    "inductance_h": "coil_inductance_h",
+    "force_constant_n_per_a": "force_constant_n_per_a",
+    "moving_mass_kg": "moving_mass_kg",
+    "bearing_damping_n_s_per_m": "bearing_damping_n_s_per_m",
+}
+"""Coordinates (logarithm of the ratio to the nominal value) and the device's name of the parameter."""
 _TISSUE = (
     # name, most probable value, low, high, logarithmic, std of the prior (of the logarithm where logarithmic)
     ("tissue_mass_kg", 0.012, 1e-4, 0.2, True, 1.5),
@@ -74,8 +75,6 @@ _SPRING = (
 )
 
 
-INSTRUMENT_COORDINATES = dict(_INSTRUMENT)
-"""Coordinates (logarithm of the ratio to the nominal value) and the device's name of the parameter."""
 TISSUE_COORDINATES = {name: name.removeprefix("tissue_") for name, *_ in _TISSUE}
 LOGARITHMIC_TISSUE = tuple(item[0] for item in _TISSUE if item[4])
 SPRING_COORDINATES = {name: (likely, std) for name, likely, _, _, _, std in _SPRING}
@@ -102,11 +101,6 @@ class Parametrisation:
     constants: dict[str, float] = field(repr=False, default_factory=dict)
     """Parameters of effects that are estimated from the record and not fitted."""
 
-    @property
-    def size(self) -> int:
-        """Number of coordinates."""
-        return len(self.coordinates)
-
     def without(self, name: str) -> Parametrisation:
         """Return the coordinates of a chain without one of the effects."""
         return replace(self, effects=tuple(effect for effect in self.effects if effect.name != name))
@@ -129,10 +123,13 @@ class Parametrisation:
     def instrument(self, theta: FloatArray) -> InstrumentParameters:
         """Return the instrument of a vector."""
         device = self.dataset.instrument
-        figures = {ours: getattr(device, theirs) * np.exp(self._at(theta, ours)) for ours, theirs in _INSTRUMENT}
+        figures = {
+            ours: getattr(device, theirs) * np.exp(self.value(theta, ours))
+            for ours, theirs in INSTRUMENT_COORDINATES.items()
+        }
         return InstrumentParameters(
             amplifier_limit_v=device.amplifier_limit_v,
-            weight_n=self._at(theta, "weight_n"),
+            weight_n=self.value(theta, "weight_n"),
             stroke_m=device.stroke_m,
             filter_time_s=device.filter_time_s,
             **figures,
@@ -144,22 +141,19 @@ class Parametrisation:
             return nothing()
         if test.fixture == "spring":
             nominal = self.dataset.instrument.calibration_spring_n_per_m
-            stiffness = nominal * float(np.exp(self._at(theta, "spring_stiffness_ratio")))
-            mass, damping = self._at(theta, "spring_mass_kg"), self._at(theta, "spring_damping_n_s_per_m")
-            return spring(test.surface_m + self._shift(theta, SPRING_SHIFT), stiffness, mass, damping)
+            stiffness = nominal * float(np.exp(self.value(theta, "spring_stiffness_ratio")))
+            mass, damping = self.value(theta, "spring_mass_kg"), self.value(theta, "spring_damping_n_s_per_m")
+            return spring(test.surface_m + self.value(theta, SPRING_SHIFT), stiffness, mass, damping)
         if self.dataset.equivalent is not None:
             if not self.dataset.equivalent.has_spring:
                 return nothing()
-            rest = test.surface_m + self._at(theta, "rest_m")
-            return spring(rest, float(np.exp(self._at(theta, "tissue_stiffness_n_per_m"))))
+            rest = test.surface_m + self.value(theta, "rest_m")
+            return spring(rest, float(np.exp(self.value(theta, "tissue_stiffness_n_per_m"))))
         values = [
-            float(np.exp(self._at(theta, name))) if logarithmic else self._at(theta, name)
+            float(np.exp(self.value(theta, name))) if logarithmic else self.value(theta, name)
             for name, _, _, _, logarithmic, _ in _TISSUE
         ]
-        return Tissue(test.surface_m + self._shift(theta, SURFACE_SHIFT), *values)
-
-    def _shift(self, theta: FloatArray, name: str) -> float:
-        return self._at(theta, name) if name in self.index else 0.0
+        return Tissue(test.surface_m + self.value(theta, SURFACE_SHIFT), *values)
 
     def acting(self, theta: FloatArray, test: DatasetTest) -> list[ActiveEffect]:
         """Return the effects with their parameters in a test, after the coupling of an equivalent machine."""
@@ -167,15 +161,15 @@ class Parametrisation:
         about = self.dataset.equivalent
         if about is None or not about.has_coupling:
             return found
-        values = [float(np.exp(self._at(theta, name))) for name in _COUPLING]
+        values = [float(np.exp(self.value(theta, name))) for name in _COUPLING]
         return [ActiveEffect(COUPLING, np.array([*values, float(about.family == "far_mass")])), *found]
 
     def fastest(self, theta: FloatArray) -> float:
         """Return the angular frequency of the coupling of an equivalent machine, rad/s; 0 without a coupling."""
         if _COUPLING[0] not in self.index:
             return 0.0
-        lighter = min(float(np.exp(self._at(theta, _COUPLING[2]))), 1.0)
-        return 2.0 * np.pi * float(np.exp(self._at(theta, _COUPLING[0]))) * float(np.sqrt(1.0 + 1.0 / lighter))
+        lighter = min(float(np.exp(self.value(theta, _COUPLING[2]))), 1.0)
+        return 2.0 * np.pi * float(np.exp(self.value(theta, _COUPLING[0]))) * float(np.sqrt(1.0 + 1.0 / lighter))
 
     def effect_values(self, theta: FloatArray, effect: Effect, test: int) -> FloatArray:
         """Return the parameters of an effect in a test, SI, in the order of their declaration."""
@@ -185,7 +179,7 @@ class Parametrisation:
             if name in self.constants:
                 values[k] = self.constants[name]
                 continue
-            value = self._at(theta, name)
+            value = self.value(theta, name)
             values[k] = np.exp(value) if parameter.logarithmic else value
         return values
 
@@ -211,9 +205,6 @@ class Parametrisation:
         """Return a coordinate by name in fitted units; where it is not fitted, its constant value (0 by default)."""
         return float(theta[self.index[name]]) if name in self.index else self.constants.get(name, 0.0)
 
-    def _at(self, theta: FloatArray, name: str) -> float:
-        return self.value(theta, name)
-
 
 def starts_of(dataset: Dataset, effect: Effect, predictions: Sequence[Mapping[str, FloatArray]]) -> Starts:
     """Return all starting points of an effect: declared ones, and those from the signals that lie within its bounds."""
@@ -221,11 +212,12 @@ def starts_of(dataset: Dataset, effect: Effect, predictions: Sequence[Mapping[st
         return effect.starts
     signals = [_signals(test, predicted) for test, predicted in zip(dataset.tests, predictions, strict=True)]
     found = effect.starts_from(signals, dataset.tests[0].sample_rate_hz)
-    return (*effect.starts, *(start for start in found if _within(effect, start)))
-
-
-def _within(effect: Effect, start: Sequence[float]) -> bool:
-    return all(item.low <= value <= item.high for item, value in zip(effect.parameters, start, strict=True))
+    within = (
+        start
+        for start in found
+        if all(item.low <= value <= item.high for item, value in zip(effect.parameters, start, strict=True))
+    )
+    return (*effect.starts, *within)
 
 
 def parametrise(
@@ -283,7 +275,9 @@ def _of_instrument(dataset: Dataset) -> list[Coordinate]:
     driven = {test.driven_by for test in dataset.tests}
     left_out = _WITHOUT_INFLUENCE if driven == {"current"} else ("amplifier_gain",) if "command" not in driven else ()
     found = [
-        Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread) for ours, _ in _INSTRUMENT if ours not in left_out
+        Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread)
+        for ours in INSTRUMENT_COORDINATES
+        if ours not in left_out
     ]
     weight = dataset.instrument.moving_mass_kg * STANDARD_GRAVITY
     along, uncertainty = dataset.gravity_m_s2

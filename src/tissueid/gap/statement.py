@@ -208,8 +208,8 @@ def sentences_of(found: Diagnosis) -> Iterator[Message]:
         return
     yield from _stage_sentences(found)
     yield from _region_sentences(found)
-    alike = _alike(found)
-    if alike:
+    named = [item for item in found.ranking if item.effect in found.combination]
+    if alike := dict.fromkeys(name for item in named for name in item.indistinguishable):
         names = Listing(tuple(effect_title(name) for name in alike))
         yield Message("gap.alike", "This data cannot separate the cause from: {names}.", names=names)
     if found.verdict == "unexplained" and found.ranking:
@@ -351,18 +351,10 @@ def _next_test(kind: str, separates: Sequence[str], why: str) -> Message:
     )
 
 
-def _alike(found: Diagnosis) -> tuple[str, ...]:
-    named = [item for item in found.ranking if item.effect in found.combination]
-    return tuple(dict.fromkeys(name for item in named for name in item.indistinguishable))
-
-
 def _spans(intervals: tuple[tuple[float, float], ...], scale: float, unit: str) -> Listing:
-    items = (_interval(number(scale * low, 2), number(scale * high, 2), unit) for low, high in intervals)
+    ends = [(number(scale * low, 2), number(scale * high, 2)) for low, high in intervals]
+    items = (Message("gap.interval", "{low} to {high} {unit}", low=low, high=high, unit=unit) for low, high in ends)
     return Listing(tuple(items), _AND)
-
-
-def _interval(low: str, high: str, unit: str) -> Message:
-    return Message("gap.interval", "{low} to {high} {unit}", low=low, high=high, unit=unit)
 
 
 def _share(share: float) -> str:

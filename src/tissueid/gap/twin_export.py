@@ -185,33 +185,22 @@ def check_same_instrument(device: DeviceDescription, twin: TwinFile) -> None:
             theirs=Verbatim(theirs),
             ours=Verbatim(serial),
         )
-    for ours, name in INSTRUMENT_COORDINATES.items():
-        value, nominal = twin.instrument[ours], getattr(device, name)
-        least = nominal * np.exp(-_reach(device))
-        most = nominal * np.exp(_reach(device))
+    reach = WITHIN_STDS * device.calibration_relative_uncertainty + _SAME
+    wide = dict.fromkeys(INSTRUMENT_COORDINATES, reach) | {"stroke_m": _SAME, "amplifier_limit_v": _SAME}
+    for ours, reach in wide.items():
+        value, nominal = twin.instrument[ours], getattr(device, INSTRUMENT_COORDINATES.get(ours, ours))
+        least, most = float(nominal * np.exp(-reach)), float(nominal * np.exp(reach))
         if not least <= value <= most:
-            raise _other_instrument(twin, ours, value, float(least), float(most))
-    for name in ("stroke_m", "amplifier_limit_v"):
-        value, nominal = twin.instrument[name], getattr(device, name)
-        if not np.isclose(value, nominal, rtol=_SAME):
-            raise _other_instrument(twin, name, value, nominal, nominal)
-
-
-def _reach(device: DeviceDescription) -> float:
-    return WITHIN_STDS * device.calibration_relative_uncertainty + _SAME
-
-
-def _other_instrument(twin: TwinFile, name: str, value: float, least: float, most: float) -> UnusableInputError:
-    return UnusableInputError(
-        "gap.other_instrument",
-        "the twin {twin} is of another instrument: its {name} is {value:.4g}, that of the session {least:.4g} to "
-        "{most:.4g}",
-        twin=twin.name,
-        name=Verbatim(name),
-        value=value,
-        least=least,
-        most=most,
-    )
+            raise UnusableInputError(
+                "gap.other_instrument",
+                "the twin {twin} is of another instrument: its {name} is {value:.4g}, that of the session {least:.4g} "
+                "to {most:.4g}",
+                twin=twin.name,
+                name=Verbatim(ours),
+                value=value,
+                least=least,
+                most=most,
+            )
 
 
 def against_twin(dataset: Dataset, twin: TwinFile | None) -> tuple[Dataset, tuple[str, ...]]:

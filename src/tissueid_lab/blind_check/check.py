@@ -142,8 +142,7 @@ def _begin(plan: BlindCheckPlan, folder: Path) -> CheckInProgress:
     Raises:
         UnusableInputError: the check cannot be recorded, or the interrupted one has other options.
     """
-    from tissueid_lab.blind_check.answers import CheckInProgress, begin_check, check_in_progress
-    from tissueid_lab.blind_check.scenarios import seal
+    from tissueid_lab.blind_check.answers import CheckInProgress, begin_check, check_in_progress, seal
 
     if not plan.resume:
         n = _N if plan.n is None else plan.n
@@ -159,24 +158,17 @@ def _begin(plan: BlindCheckPlan, folder: Path) -> CheckInProgress:
         ("--n", plan.n, begun.n),
         ("--seed", plan.seed, begun.seed),
         ("--full-share", plan.full_share, begun.full_share),
+        ("--laboratory", plan.laboratory, begun.laboratory),
     ):
         if asked is not None and asked != held:
             raise UnusableInputError(
                 "blind.other_option",
-                "the check in {folder} was begun with {option} {held:g}, not {asked:g}",
+                "the check in {folder} was begun with {option} {held}, not {asked}",
                 folder=str(folder),
                 option=name,
-                held=held,
-                asked=asked,
+                held=Verbatim(held),
+                asked=Verbatim(asked),
             )
-    if plan.laboratory is not None and plan.laboratory != begun.laboratory:
-        raise UnusableInputError(
-            "blind.other_laboratory",
-            "the check in {folder} was begun with --laboratory {held}, not {asked}",
-            folder=str(folder),
-            held=begun.laboratory,
-            asked=plan.laboratory.value,
-        )
     for option, asked_for, has in (
         ("--skin", plan.skin, begun.skin),
         ("--against-twin", plan.against_twin, begun.against_twin),
@@ -195,7 +187,7 @@ def _begin(plan: BlindCheckPlan, folder: Path) -> CheckInProgress:
 
 
 def _check_seal(folder: Path, begun: CheckInProgress) -> None:
-    from tissueid_lab.blind_check.scenarios import seal
+    from tissueid_lab.blind_check.answers import seal
 
     if seal(folder) != begun.seal:
         raise UnusableInputError("blind.altered", "the labels were altered while sealed: the check is not scored")
@@ -205,8 +197,7 @@ def _checked(
     plan: BlindCheckPlan, folder: Path, control: Control, sealed: Callable[[CheckInProgress], None]
 ) -> BlindCheck:
     from tissueid.gap import executor
-    from tissueid_lab.blind_check.answers import BlindCheck, answers, with_labels
-    from tissueid_lab.blind_check.scenarios import scenario_names, unseal
+    from tissueid_lab.blind_check.answers import BlindCheck, answers, scenario_names, unseal, with_labels
 
     begun = _begin(plan, folder)
     sealed(begun)

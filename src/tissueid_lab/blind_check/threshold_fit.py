@@ -20,8 +20,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.gap.answer import stored_answer
 from tissueid.gap.decision import Grounds, decide, probabilities
 from tissueid.gap.thresholds import THRESHOLDS, Thresholds
-from tissueid_lab.blind_check.answers import BlindScenario
-from tissueid_lab.blind_check.scenarios import scenario_names, unseal
+from tissueid_lab.blind_check.answers import BlindScenario, scenario_names, unseal
 from tissueid_lab.blind_check.scoring import calibration_error, f1, mean, survives
 
 WRONG = 1.0
