@@ -72,9 +72,8 @@ def test_a_journal_with_samples_after_the_release_is_recovered_without_them(tmp_
         if number == 20:
             desk.firmware.brown_out()
             desk.link.to_host = lambda data: data
-        instrument.monitor.stop_due = instrument.monitor.error = None
         instrument.pump(0.05)
-        recorder.add(instrument.stream.drain())
+        recorder.add(instrument.poll(0.05))
     played = desk.firmware.player.played
     recorder.abandon()
     assert journal_path(tmp_path / "s.h5").exists()

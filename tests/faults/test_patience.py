@@ -45,7 +45,7 @@ def test_answers_are_no_samples(desk):
     began = desk.link.now
     with pytest.raises(LinkLostError, check=holding("link.silent", seconds=0.5)):
         while True:
-            instrument.channel.send(MessageType.STATUS_REQUEST)
+            instrument.request_status()
             instrument.poll(0.05)
     assert desk.link.now - began < 0.6
     instrument.close()

@@ -208,7 +208,7 @@ def test_a_run_has_a_limit_by_the_host_s_own_clock():
 
     for _ in range(10):
         instrument.poll(0.05)
-    seen[0] = instrument.stream.next_index
+    seen[0] = instrument.state.next_index
     desk.link.to_host = Altering(desk, slowly, after_s=0.0)
     desk.firmware.player.length = 10**6  # a device that does not end the run either
     desk.firmware.player.stimulus_v = np.full(10**6, 8.0)

@@ -19,7 +19,7 @@ from tissueid.errors import (
     LinkLostError,
     ProtocolVersionError,
 )
-from tissueid.instrument import CLINICAL, RESEARCH, SAMPLE, Limits, SerialInstrument, driver
+from tissueid.instrument import CLINICAL, RESEARCH, SAMPLE, Limits, SerialInstrument, run_machine
 from tissueid.instrument.replies import describe_faults
 from tissueid.instrument.sample_monitor import SampleMonitor
 from tissueid.wire import Fault, Flag, State
@@ -124,8 +124,8 @@ def test_a_repeated_start_does_not_start_again():
     firmware = instrument.link.firmware
     instrument.poll(0.3)
     cursor = firmware.player.cursor
-    payload = wire.pack(wire.START, token=instrument.token)
-    start = wire.encode_frame(wire.Frame(wire.MessageType.START, instrument.channel.next_number() - 1, payload=payload))
+    payload = wire.pack(wire.START, token=instrument.state.token)
+    start = wire.encode_frame(wire.Frame(wire.MessageType.START, instrument.state.sequence - 1, payload=payload))
     firmware.receive(start, instrument.link.now)
     assert firmware.player.cursor == cursor
 
@@ -196,6 +196,21 @@ def test_a_firmware_that_does_not_share_a_version_obeys_nothing():
         connect(identity=Identity(protocol_min=2, protocol_max=3))
 
 
+def test_a_program_that_is_interrupted_in_a_request_goes_on():
+    instrument = connect()
+
+    def interrupt(data):
+        raise KeyboardInterrupt
+
+    instrument.link.to_host = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        instrument.load(hold(5.0, 0.3))
+    instrument.link.to_host = lambda data: data
+    instrument.release()
+    play(instrument, hold(5.0, 0.3))
+    instrument.close()
+
+
 def test_silence_is_a_lost_link():
     instrument = connect()
     instrument.link.to_host = lambda data: b""
@@ -256,7 +271,7 @@ def test_the_host_checks_before_sending(command, limits, check):
 
 
 def without_host_checks(monkeypatch):
-    monkeypatch.setattr(driver, "check_stimulus", lambda *_: None)
+    monkeypatch.setattr(run_machine, "check_stimulus", lambda *_: None)
     monkeypatch.setattr(SampleMonitor, "check", lambda *_: None)
 
 
@@ -267,7 +282,7 @@ def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
     with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="ARM")):
         instrument.arm(Limits(max_force_n=8.0))
     # A host that does not know the limits of the device asks for more.
-    instrument.handshake = replace(instrument.handshake, max_force_n=1000.0)
+    instrument.state.handshake = replace(instrument.state.handshake, max_force_n=1000.0)
     with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="ARM")):
         instrument.arm(Limits(max_force_n=16.0))
     assert not instrument.link.firmware.energised
@@ -321,12 +336,12 @@ def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
 )
 def test_the_host_releases_on_its_own(monkeypatch, limits, check):
     monkeypatch.setattr(firmware_sim_limits.ArmedLimits, "first_violation", lambda *_: (0, Fault.NONE))
-    monkeypatch.setattr(driver, "check_stimulus", lambda *_: None)
+    monkeypatch.setattr(run_machine, "check_stimulus", lambda *_: None)
     instrument = connect()
     instrument.load(hold(30.0, 3.0))
     firmware = instrument.link.firmware
     instrument.arm(RESEARCH)
-    instrument.monitor.limits = limits
+    instrument.state.limits = limits
     run = instrument.start()
     with pytest.raises(LimitError, check=check):
         collect(instrument, run)

@@ -11,7 +11,7 @@ from support import connect, softly
 from tissueid import wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError
-from tissueid.instrument import CLINICAL, Limits, ReplayInstrument, SimulatedInstrument, driver
+from tissueid.instrument import CLINICAL, Limits, ReplayInstrument, SimulatedInstrument, run_machine
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 
 PRELOAD, BLOCK, COUNT = 200, 50, 1000
@@ -283,7 +283,7 @@ def test_the_same_answers_play_the_same_in_process():
 
 
 def test_the_firmware_refuses_what_the_host_let_through(monkeypatch):
-    monkeypatch.setattr(driver, "check_command", lambda *_: None)
+    monkeypatch.setattr(run_machine, "check_command", lambda *_: None)
     instrument = connect("linear-demo")
     begin(instrument, limits=Limits(max_force_n=8.0))
     instrument.send(PRELOAD, np.full(50, 47.0))
@@ -306,7 +306,7 @@ def test_lost_blocks_are_sent_again_in_time():
     expected = softly(np.concatenate((np.full(PRELOAD, 10.0), wave())), loaded=PRELOAD)
     np.testing.assert_allclose(samples["command"][: run.samples][received], expected[received], atol=STEP_V)
     assert instrument.late_blocks == instrument.held_samples == 0
-    assert instrument.sender.repeated_blocks > 3
+    assert instrument.state.repeated_blocks > 3
 
 
 def test_repeated_frames_do_no_harm():

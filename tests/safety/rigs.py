@@ -29,9 +29,9 @@ def rig(bench: Bench | None = None, *, watchdog_s: float = WATCHDOG_S) -> Serial
 def without_host(monkeypatch: pytest.MonkeyPatch) -> None:
     """A host that checks nothing, neither before sending nor on what arrives."""
     for name in (
-        "driver.check_stimulus",
-        "driver.check_command",
-        "driver.check_limits",
+        "run_machine.check_stimulus",
+        "run_machine.check_command",
+        "run_machine.check_limits",
         "sample_monitor.SampleMonitor.check",
     ):
         monkeypatch.setattr(f"tissueid.instrument.{name}", lambda *_: None)

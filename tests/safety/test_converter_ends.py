@@ -125,7 +125,7 @@ def test_the_firmware_refuses_limits_that_no_reading_can_meet(changed, answer):
     ],
 )
 def test_the_host_alone_moves_a_limit_inside_the_range_of_its_converter(signal, gain, name):
-    plain = rig().handshake
+    plain = rig().state.handshake
     assert plain.effective_limits(WIDE) == WIDE
     gains, offsets = plain.gains.copy(), plain.offsets.copy()
     k = SIGNALS.index(signal)
@@ -148,7 +148,7 @@ def test_the_host_alone_moves_a_limit_inside_the_range_of_its_converter(signal, 
 
 def test_the_host_lets_a_gentle_probe_lean_on_the_end_of_its_converter():
     gentle = Limits(**GENTLE)
-    assert rig().handshake.effective_limits(gentle) == gentle
+    assert rig().state.handshake.effective_limits(gentle) == gentle
 
 
 @pytest.mark.parametrize("force_n", [5e-324, 0.09])

@@ -269,7 +269,7 @@ def test_the_host_alone_ends_a_test_that_is_too_long(monkeypatch):
     instrument = rig(watchdog_s=1e9)
     instrument.load(volts(8.0, 3.0))
     instrument.arm(WIDE)
-    instrument.monitor.limits = replace(WIDE, max_seconds=0.5)
+    instrument.state.limits = replace(WIDE, max_seconds=0.5)
     instrument.start()
     with pytest.raises(LimitError, check=coded("limit.time", seconds=pytest.approx(1.5, abs=0.02), limit=0.5)):
         while True:

@@ -126,7 +126,7 @@ def test_start_is_refused_while_the_button_is_held_down():
     instrument.arm(WIDE)
     link = instrument.link
     link.firmware.bench.button = True
-    payload = wire.pack(wire.START, token=instrument.token)
+    payload = wire.pack(wire.START, token=instrument.state.token)
     link.firmware.receive(wire.encode_frame(wire.Frame(MessageType.START, 60_000, payload=payload)), link.now)
     assert not link.firmware.energised
 
@@ -175,7 +175,6 @@ def test_a_supply_that_sags_is_noticed_before_the_next_sample_and_latches(state)
     assert firmware.state is State.FAULT
     assert firmware.faults == Fault.BROWN_OUT
     assert not firmware.frame_samples["flags"][-1] & Flag.ENERGISED
-    instrument.monitor.error = None
     instrument.clear_faults()
     firmware.advance(1, instrument.link.now)
     assert firmware.faults == Fault.BROWN_OUT, "as long as the supply sags"

@@ -203,7 +203,7 @@ def test_the_firmware_alone_keeps_the_stage_still_while_a_test_is_armed():
     instrument.load(volts(4.0, 0.3))
     instrument.arm(CLINICAL)
     before = instrument.link.firmware.bench.tissue
-    instrument.monitor.limits = None
+    instrument.state.limits = None
     with pytest.raises(InstrumentError, check=coded("refused.state", request="STAGE")):
         instrument.move_stage(0.01)
     assert instrument.link.firmware.bench.tissue is before
@@ -224,7 +224,6 @@ def test_the_stage_stays_where_it_is_while_a_fault_is_latched(fault):
     firmware = instrument.link.firmware
     before = firmware.bench.tissue
     firmware.trip(fault)
-    instrument.monitor.error = None
     with pytest.raises(FirmwareFaultError):
         instrument.move_stage(0.01)
     request = wire.encode_frame(wire.Frame(MessageType.STAGE, 50_000, payload=wire.pack(wire.STAGE, position_m=0.01)))

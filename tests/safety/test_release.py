@@ -130,7 +130,7 @@ def test_the_soft_release_of_a_run_is_no_reason_to_stop_it():
     newest = run.first_index
     while newest < run.end_index + 400:
         newest = instrument.poll(0.05)["index"][-1]
-        instrument.channel.send(MessageType.STATUS_REQUEST)
+        instrument.request_status()
     kinds = {frame.type for frame in wire.FrameDecoder().feed(b"".join(sent))}
     assert kinds == {MessageType.HEARTBEAT, MessageType.STATUS_REQUEST}
 

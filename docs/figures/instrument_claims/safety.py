@@ -26,7 +26,7 @@ SECONDS = 3.0
 WIDE = Limits(max_force_n=14.9, max_temperature_c=80.0, max_seconds=60.0)
 UPSET_AFTER = 2000
 HOST_OFF: dict[str, object] = {
-    **{f"tissueid.instrument.driver.check_{name}": None for name in ("stimulus", "command", "limits")},
+    **{f"tissueid.instrument.run_machine.check_{name}": None for name in ("stimulus", "command", "limits")},
     "tissueid.instrument.sample_monitor.SampleMonitor.check": None,
     "tissueid.instrument.sample_monitor.SampleMonitor.arm": None,
 }

@@ -21,8 +21,8 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LinkLostError, TissueIDError
 from tissueid.formatting import clean
 from tissueid.instrument.handshake import implausible_property
-from tissueid.instrument.host_played import BLOCK, HostPlayedInstrument
-from tissueid.instrument.interface import SIGNALS, Run
+from tissueid.instrument.host_played import BLOCK, RAMP_S, HostPlayedInstrument
+from tissueid.instrument.interface import SIGNALS
 from tissueid.instrument.limits import Limits
 from tissueid.instrument.link import SCHEMES
 from tissueid.instrument.replies import released_by_faults
@@ -90,11 +90,11 @@ class CardInstrument(HostPlayedInstrument):
             raise InstrumentError(
                 "card.property", "the driver of {name} reports an impossible value: {why}", name=name, why=problem
             )
-        super().__init__(device, winding=True)
+        # Without firmware the checks continue until the end of the soft release.
+        super().__init__(device, winding=True, tail=round(RAMP_S * device.sample_rate_hz), temperature_c=np.zeros(0))
         self._card = card
         self._name = Verbatim(name)
         self._clock = clock
-        self._temperature_c = np.zeros(0)
         try:
             self.poll(0.0)
         except BaseException:
@@ -110,11 +110,10 @@ class CardInstrument(HostPlayedInstrument):
         """
         self._require_no_button()
         super().arm(limits)
-        self._checks.expect_command(self.command)
 
-    def release(self) -> None:
+    def _coil_off(self) -> None:
         """Disable the amplifier. Never raises."""
-        super().release()
+        super()._coil_off()
         with contextlib.suppress(Exception):
             self._card.disable()
 
@@ -131,12 +130,6 @@ class CardInstrument(HostPlayedInstrument):
 
     def _run_begins(self) -> None:
         self._require_no_button()
-
-    def _run_is_over(self, run: Run) -> bool:
-        return not self.energised
-
-    def _coil_c(self) -> NDArray[np.float64]:
-        return self._temperature_c
 
     def _require_no_button(self) -> None:
         try:
@@ -177,7 +170,6 @@ class CardInstrument(HostPlayedInstrument):
             )
         for name, column in zip(READ, readings.T, strict=True):
             samples[name] = column
-        self._temperature_c = samples["temperature"].copy()
 
     def _failed(self, error: Exception) -> TissueIDError:
         """Release the coil and return the error of a driver that failed."""

@@ -1,88 +1,48 @@
-"""Driver of a device on a link: handshake, requests with retries, decoding, heartbeat, limits, gaps."""
+"""Driver of a device on a link: the loop around the state machine of a run, and its calls for the program."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import time
-import weakref
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 import tissueid.wire as wire
 from tissueid.device import DeviceDescription
-from tissueid.errors import InstrumentError, LinkLostError, TissueIDError
-from tissueid.instrument.frame_receiver import FrameReceiver
-from tissueid.instrument.handshake import Handshake, parse_hello
+from tissueid.errors import LinkLostError, TissueIDError
+from tissueid.instrument import run_machine as machine
+from tissueid.instrument.handshake import parse_hello
 from tissueid.instrument.interface import (
     SIGNALS,
     Corrections,
+    Gap,
     Observer,
     Run,
     calibration_while_running,
     check_corrections,
-    checked_descriptions,
     corrected,
-    nothing_loaded,
+    join_blocks,
     stage_while_running,
-    unexpected_set_points,
 )
-from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
+from tissueid.instrument.limits import Limits
 from tissueid.instrument.link import Link
 from tissueid.instrument.replies import Status
-from tissueid.instrument.requests import (
-    ANSWER_S,
-    TRIES,
-    RequestChannel,
-    send_following,
-    send_hello,
-    send_limits,
-    send_setpoints,
-    send_stage,
-    send_stimulus,
-)
-from tissueid.instrument.run_monitor import RunMonitor
-from tissueid.instrument.sample_stream import SampleStream, SetpointSender
+from tissueid.instrument.run_machine import ANSWER_S, STAGE_TRIES, TRIES, Mode, RunEvent, RunState
 from tissueid.messages import Message
-from tissueid.wire import MessageType, State
+from tissueid.wire import MessageType, Result, State
 
 log = logging.getLogger(__name__)
 
-_Reply = TypeVar("_Reply")
-
-OVERDUE_SHARE, OVERDUE_S = 1.25, 5.0
-"""Maximum duration of a run by the host's clock: factor on its nominal duration, plus seconds. The clock of a device
-deviates by at most 10 %; a simulated device stalls while its computer is busy.
-"""
-
-STOP_TRIES = 3
-"""Attempts of STOP if the request before it was not answered; twice as many if it was."""
 _PUMP_S = 0.02
 _HELLO_PUMP_S = 0.05
-
-
-_Arguments = ParamSpec("_Arguments")
-
-
-def _weakly(method: Callable[_Arguments, object]) -> Callable[_Arguments, None]:
-    """Return a caller of a method for a part of its object, which would else keep the object alive after its use."""
-    reference = weakref.WeakMethod(method)
-
-    def call(*arguments: _Arguments.args, **named: _Arguments.kwargs) -> None:
-        alive = reference()
-        if alive is not None:
-            alive(*arguments, **named)
-
-    return call
 
 
 class SerialInstrument:
     """Instrument on a link. Opening it performs the handshake and starts the stream of samples.
 
-    Its parts (``link``, ``handshake``, ``channel``, ``stream``, ``monitor``, ``sender``) are readable for diagnostics.
+    ``state`` is the state of the machine (:mod:`tissueid.instrument.run_machine`), readable for diagnostics.
 
     Args:
         link: byte stream from and to the device; closed with the instrument.
@@ -94,34 +54,24 @@ class SerialInstrument:
     """
 
     def __init__(self, link: Link, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self.stream = SampleStream()
-        self.gaps = self.stream.gaps
-        self.observer: Observer | None = None
         self.link = link
+        self.state = RunState(link.name, heartbeat_s=clock())
+        self.gaps: list[Gap] = []
+        self.observer: Observer | None = None
         self._clock = clock
-        self.monitor = RunMonitor(self.stream, _weakly(self._ask_status), _weakly(self._run_ended))
-        self.channel = RequestChannel(link, clock, _weakly(self.pump), self.monitor.take_error)
+        self._decoder = wire.FrameDecoder()
+        self._ready: list[NDArray[np.void]] = []
+        self._answer: machine.GiveAnswer | None = None
+        self._hello: bytes | None = None
+        self._raised: TissueIDError | None = None
         self._corrections: Corrections = {}
-        self._command = np.zeros(0)
-        self._following = 0
-        self._hold_v = 0.0
-        self._overdue_s = self._overdue_at = 0.0
-        self.sender = SetpointSender(link.write, clock)
-        self._receiver = FrameReceiver(link.name, clock, self.stream, self.monitor, self.sender, self.channel.on_ack)
-        self._stimulus_id = 0
         self._closed = False
-        self._watchdog_s: float | None = None
         try:
-            self.handshake = self._shake_hands()
-            self._watchdog_s = self.handshake.watchdog_s
-            self.device = self.nominal = self.handshake.device
-            self.monitor.begin(self.handshake)
-            self.channel.request(MessageType.CLEAR_FAULTS)
-            self.channel.request(MessageType.RELEASE)
-            self.channel.silent = False
-            self.channel.request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
-            self.stream.begin(self.handshake)
-            self._receiver.stream_begins()
+            self._shake_hands()
+            self.device = self.nominal = self.state.nominal
+            for kind in (MessageType.CLEAR_FAULTS, MessageType.RELEASE):
+                self._request(kind)
+            self._request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
         except BaseException:
             link.close()
             raise
@@ -137,7 +87,7 @@ class SerialInstrument:
         if self._busy():
             raise calibration_while_running()
         self._corrections = check_corrections(corrections, SIGNALS)
-        self._receiver.calibrated = None if device is self.nominal else (self._corrections, device)
+        self._do(machine.CalibrationChosen(self._clock(), device, self._corrections))
         self.device = device
 
     def load(self, command_v: NDArray[np.float64]) -> None:
@@ -147,12 +97,8 @@ class SerialInstrument:
             LimitError: a voltage is outside the range of the converter.
             InstrumentError: the firmware rejects the stimulus.
         """
-        codes = self.handshake.codes(command_v)
         self._wait_for_release()
-        self._stimulus_id += 1
-        self._following = 0
-        send_stimulus(self.channel, self._stimulus_id, codes)
-        self._command = np.asarray(command_v, np.float64)
+        self._ask(machine.LoadAsked(self._clock(), np.asarray(command_v, np.float64)))
 
     def follow(self, samples: int, hold_v: float) -> None:
         """Announce ``samples`` set-points that will be sent during the next run, after the loaded stimulus.
@@ -161,12 +107,8 @@ class SerialInstrument:
             LimitError: ``hold_v`` is outside the range of the converter.
             InstrumentError: nothing is loaded, there are too many set-points, or the firmware is too old.
         """
-        if not self._command.size:
-            raise nothing_loaded()
-        hold = self.handshake.codes(np.array([hold_v]))
         self._wait_for_release()
-        send_following(self.channel, self._stimulus_id, samples, int(hold[0]))
-        self._following, self._hold_v = samples, hold_v
+        self._ask(machine.FollowAsked(self._clock(), samples, hold_v))
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
         """Send set-points, shape (k,), V, for the samples of the run from ``offset``, after checking them.
@@ -175,19 +117,14 @@ class SerialInstrument:
             LimitError: a limit would be exceeded; none is sent.
             InstrumentError: these set-points were not announced by ``follow``.
         """
-        if self.monitor.error is not None:
-            return  # the next poll raises the error
-        first, end = self._command.size, offset + command_v.size
-        if self.monitor.limits is None or not first <= offset < end <= first + self._following:
-            raise unexpected_set_points(offset, end)
-        for description in checked_descriptions(self.nominal, self.device):
-            check_command(command_v, description, self.monitor.limits)
-        self.monitor.checks.expect_command(command_v)
-        send_setpoints(self.channel, self.sender, self.token, offset, self.handshake.codes(command_v))
+        self._answer = None
+        self._do(machine.SetPointsGiven(self._clock(), offset, command_v))
+        if self._answer is not None and self._answer.error is not None:
+            raise self._answer.error
 
     def effective_limits(self, limits: Limits) -> Limits:
         """Return ``limits``, reduced to the fixed limits of the instrument."""
-        return self.handshake.effective_limits(limits)
+        return self.state.effective_limits(limits)
 
     def arm(self, limits: Limits) -> None:
         """Set the limits of the next run, here and in the firmware, reduced to the fixed limits of the device.
@@ -197,24 +134,9 @@ class SerialInstrument:
             InstrumentError: the temperature sensor gives no usable reading.
             TissueIDError: the error of the run before was not cleared.
         """
-        if self.monitor.error is not None:
-            raise self.monitor.error
-        check_limits(limits, self.nominal)
-        limits = self.effective_limits(limits)
-        for description in checked_descriptions(self.nominal, self.device):
-            check_stimulus(self._command, description, limits, self._following)
-            if self._following:
-                check_command(np.array([self._hold_v]), description, limits)
-        self._expect_samples()
-        newest = self.stream.newest
-        self.monitor.checks.arm(np.zeros(0) if newest is None else newest["temperature"], limits)
-        self.monitor.checks.expect_command(np.append(self._command, self._hold_v if self._following else 0.0))
-        self.token = (self._stimulus_id << 8) ^ (self.channel.next_number() & 0xFF) ^ 0x5EED0000
-        self.channel.send_heartbeat(force=True)
-        send_limits(self.channel, self.token, self._stimulus_id, limits, self.device.sample_rate_hz)
-        self.monitor.limits = limits
-        self.sender.reset()
-        self._receiver.forget_run()
+        if self.state.error is None:
+            self._expect_samples()
+        self._ask(machine.ArmAsked(self._clock(), limits))
 
     def start(self) -> Run:
         """Energise the coil and play.
@@ -224,22 +146,8 @@ class SerialInstrument:
             InstrumentError: the answer contradicts the samples; the coil is released.
             TissueIDError: the firmware refuses, or a sample exceeded a limit before the answer came.
         """
-        samples = self._command.size + self._following
-        self.channel.send_heartbeat(force=True)
-        self.monitor.expect_start(samples)
-        try:
-            run = Run(self.channel.request(MessageType.START, wire.pack(wire.START, token=self.token)), samples)
-        except LinkLostError:
-            self.release()  # the answers were lost; START may have arrived
-            raise
-        finally:
-            self.monitor.end_of_start()
-        self._overdue_s = OVERDUE_SHARE * samples / self.device.sample_rate_hz + OVERDUE_S
-        self._overdue_at = self._clock() + self._overdue_s
-        self._accept(self.monitor.on_started, run)
-        if self.status is not None and self.status.faults:
-            self.monitor.fail_by_fault(self.status.faults)  # reported before this answer was read
-        return run
+        samples = self.state.command_v.size + self.state.following
+        return Run(self._ask(machine.StartAsked(self._clock())).detail, samples)
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
         """Return arrived samples, shape (k,) of SAMPLE, each checked on arrival, and send the heartbeat.
@@ -248,21 +156,13 @@ class SerialInstrument:
             LinkLostError, FirmwareFaultError, LimitError: the coil is released. Samples that arrived before are
                 returned first; the next call raises the error.
         """
-        monitor = self.monitor
-        if monitor.error is None and not self.stream:
-            try:
-                self.pump(timeout_s)
-            except TissueIDError as error:
-                monitor.fail(error)
-        if monitor.error is None and (refused := self.sender.refused) is not None:
-            self.release()
-            monitor.fail(refused)
-        if monitor.error is not None and not self.stream:
-            monitor.take_error()
-            if isinstance(monitor.error, LinkLostError):
-                raise self._with_watchdog(monitor.error)
-            raise monitor.error
-        samples = corrected(self.stream.drain(), self._corrections)
+        if self.state.error is None and not self._ready:
+            self.pump(timeout_s)
+        if self.state.error is not None and not self._ready:
+            self._raised = self.state.error
+            raise self.state.error
+        samples = corrected(join_blocks(self._ready), self._corrections)
+        self._ready.clear()
         if self.observer is not None and samples.size:
             self.observer(samples)
         return samples
@@ -273,14 +173,7 @@ class SerialInstrument:
         Raises:
             InstrumentError: the firmware is too old, or its answer contradicts the samples; then the coil is released.
         """
-        self.monitor.finishing = True  # samples after the end may arrive before the answer
-        try:
-            played = self.channel.request(MessageType.FINISH)
-        finally:
-            self.monitor.finishing = False
-        self.sender.stop()
-        self._accept(self.monitor.on_finished, played)
-        return played
+        return self._ask(machine.FinishAsked(self._clock())).detail
 
     def move_stage(self, position_m: float | None) -> bool:
         """Move the fixture on a motorised stage to a position on the actuator, m; None moves it out of reach.
@@ -293,21 +186,19 @@ class SerialInstrument:
         if self._busy():
             raise stage_while_running()
         self._wait_for_release()
-        return send_stage(self.channel, position_m)
+        payload = wire.pack(wire.STAGE, position_m=np.nan if position_m is None else position_m)
+        answer = self._outcome(machine.RequestAsked(self._clock(), MessageType.STAGE, payload, STAGE_TRIES))
+        if answer.error is not None and answer.result != Result.UNKNOWN:
+            raise answer.error
+        return answer.result == Result.OK
 
     def release(self) -> None:
         """Release the coil now. No heartbeat is sent until the firmware confirms the release.
 
         If it does not confirm, its watchdog releases the coil, and the next poll raises LinkLostError.
         """
-        self.monitor.end()
-        try:
-            self.channel.stop(STOP_TRIES * self._last_tries())
-        except LinkLostError as error:
-            log.warning("%s", error)
-            self.monitor.fail(error)
-        self.monitor.stop_due = False
-        self.monitor.expect_a_free_coil()  # samples from before the release have arrived by now
+        self._do(machine.StopAsked(self._clock()))
+        self._await_release()
 
     def clear_faults(self) -> None:
         """Clear the latched faults and the error of the failed run. The next test must be armed again.
@@ -315,24 +206,23 @@ class SerialInstrument:
         Raises:
             LinkLostError: a release was not confirmed; connect again.
         """
-        if self.channel.lost is not None:
-            raise self.channel.lost
-        self.monitor.error = None
-        self.channel.request(MessageType.CLEAR_FAULTS)
+        self._raised = self.state.error
+        self._ask(machine.ClearAsked(self._clock()))
 
     def close(self) -> None:
         """Release the coil, end the stream and close the port."""
         if self._closed:
             return
         self._closed = True
-        if isinstance(self.monitor.error, LinkLostError):
+        if isinstance(self.state.error, LinkLostError):
             # The other direction of the link may still work.
-            with contextlib.suppress(TissueIDError):
-                self.channel.send(MessageType.STOP)
+            self._do(machine.StopAsked(self._clock()))
         else:
             self.release()
+            self._raised = self.state.error
             try:
-                self.channel.request(MessageType.STREAM, wire.pack(wire.STREAM, on=0), tries=self._last_tries())
+                tries = 1 if self.state.unanswered else 2
+                self._request(MessageType.STREAM, wire.pack(wire.STREAM, on=0), tries)
             except TissueIDError as error:
                 log.info("the stream was not ended: %s", error)
         self.link.close()
@@ -343,91 +233,118 @@ class SerialInstrument:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def request_status(self) -> None:
+        """Request STATUS; ``status`` changes when it arrives."""
+        self._do(machine.StatusAsked(self._clock()))
+
     @property
     def statistics(self) -> wire.FrameStatistics:
         """Frames accepted and refused since the link was opened."""
-        return self._receiver.statistics
+        return self._decoder.statistics
 
     @property
     def status(self) -> Status | None:
         """The newest STATUS; None before the first."""
-        return self._receiver.status
+        return self.state.status
 
     @property
     def late_blocks(self) -> int:
         """Blocks of set-points of the newest run that arrived too late."""
-        return self._receiver.late_blocks
+        return self.state.late_blocks
 
     @property
     def held_samples(self) -> int:
         """Samples of the newest run that were held because their set-point was missing."""
-        return self._receiver.held_samples
+        return self.state.held_samples
 
     @property
     def repeated_requests(self) -> int:
         """Attempts of requests after the first, because no answer came."""
-        return self.channel.repeated
+        return self.state.repeated_requests
 
     @property
     def round_trip_s(self) -> float | None:
         """Median time from a request to its answer over the newest requests, s; None before the first."""
-        times = self.channel.round_trips_s
+        times = self.state.round_trips_s
         return float(np.median(times)) if times else None
 
     @property
     def setpoint_margin_s(self) -> float | None:
         """Least time between arrival and playing of a block of set-points of the newest run, s; None without."""
-        margin = self.sender.margin_samples
+        margin = self.state.margin_samples
         return None if margin is None else margin / self.device.sample_rate_hz
 
-    def _accept(self, accept: Callable[[_Reply], None], reply: _Reply) -> None:
-        """Pass a reply about a run to the monitor.
+    # -- the loop -----------------------------------------------------------------------------------------
 
-        Raises:
-            InstrumentError: it contradicts the samples; the coil is released.
-        """
+    def pump(self, timeout_s: float) -> None:
+        """Read once, process every complete frame, and wait for the end of a release that began meanwhile."""
+        self._read(timeout_s)
+        self._await_release()
+
+    def _await_release(self) -> None:
+        while self.state.mode is Mode.RELEASING:
+            self._read(_PUMP_S)
+
+    def _read(self, timeout_s: float) -> None:
         try:
-            accept(reply)
-        except InstrumentError as error:
-            self.monitor.fail(error)
-            self.release()
-            self.monitor.take_error()
-            raise
+            data = self.link.read(timeout_s)
+        except LinkLostError as error:
+            self._do(machine.PortFailed(self._clock(), error))
+            return
+        now, refused = self._clock(), self._decoder.statistics.refused
+        for frame in self._decoder.feed(data):
+            self._do(machine.FrameReceived(now, frame))
+        if self._decoder.statistics.refused > refused:
+            self._do(machine.BytesRefused(now))
+        self._do(machine.ClockTick(now))
 
-    def _busy(self) -> bool:
-        """Return whether a test is armed or running. A run whose last sample has arrived ends with its soft release."""
-        last = self.stream.next_index
-        if self.monitor.run is not None and last is not None and last >= self.monitor.run.end_index:
-            self._wait_for_release()
-            self.monitor.end()
-        return self.monitor.limits is not None
-
-    def _wait_for_release(self) -> None:
-        """Wait until the soft release after a run has ended."""
-        deadline = self._clock() + ANSWER_S
-        while self.status is not None and self.status.state is State.RUNNING and self._clock() < deadline:
-            self.channel.send(MessageType.STATUS_REQUEST)
-            self.pump(_PUMP_S)
+    def _do(self, event: RunEvent) -> None:
+        """Let an event happen, and carry out the actions that follow from it."""
+        self.state, actions = machine.step(self.state, event)
+        failed: LinkLostError | None = None
+        for action in actions:
+            match action:
+                case machine.SendFrame() | machine.ReleaseCoil():
+                    frame = action.stop if isinstance(action, machine.ReleaseCoil) else action
+                    if frame is None or failed is not None:
+                        continue
+                    try:
+                        self.link.write(frame.data)
+                    except LinkLostError as error:
+                        failed = error
+                case machine.DeliverSamples():
+                    self._ready.append(action.samples)
+                    if action.gap is not None:
+                        self.gaps.append(action.gap)
+                        log.warning("%d samples lost from sample %d on", action.gap.count, action.gap.first_index)
+                case machine.GiveAnswer():
+                    self._answer = action
+                case machine.Greet():
+                    self._hello = action.payload
+                case machine.LogLine():
+                    log.warning("%s", action.text)
+        if failed is not None:
+            self._do(machine.PortFailed(self._clock(), failed))
 
     # -- requests -----------------------------------------------------------------------------------------
 
-    def _shake_hands(self) -> Handshake:
+    def _shake_hands(self) -> None:
         for _ in range(TRIES):
-            send_hello(self.channel)
+            self._do(machine.HelloAsked(self._clock()))
             deadline = self._clock() + ANSWER_S
-            while self._receiver.hello is None and self._clock() < deadline:
-                try:
-                    self.pump(_HELLO_PUMP_S)
-                except LinkLostError as error:
-                    raise LinkLostError(
-                        Message(
-                            "link.maybe_in_use",
-                            "{why}. Is the instrument in use by another program?",
-                            why=error.message,
-                        )
-                    ) from error
-            if self._receiver.hello is not None:
-                return parse_hello(self._receiver.hello, self.link.name)
+            while self._hello is None and self.state.error is None and self._clock() < deadline:
+                self.pump(_HELLO_PUMP_S)
+            if self.state.error is not None:
+                raise LinkLostError(
+                    Message(
+                        "link.maybe_in_use",
+                        "{why}. Is the instrument in use by another program?",
+                        why=self.state.error.message,
+                    )
+                ) from self.state.error
+            if self._hello is not None:
+                self._do(machine.Greeted(self._clock(), parse_hello(self._hello, self.link.name)))
+                return
         raise LinkLostError(
             Message(
                 "link.no_instrument",
@@ -436,55 +353,53 @@ class SerialInstrument:
             )
         )
 
-    # -- bytes in -----------------------------------------------------------------------------------------
+    def _request(self, kind: MessageType, payload: bytes = b"", tries: int = TRIES) -> None:
+        self._ask(machine.RequestAsked(self._clock(), kind, payload, tries))
 
-    def pump(self, timeout_s: float) -> None:
-        """Read once and process every complete frame. During a run, heartbeats are sent here only.
+    def _ask(self, event: RunEvent) -> machine.GiveAnswer:
+        """Ask for something that must succeed, wait for its answer and return it.
 
-        A heartbeat is sent only after new samples passed the checks. Without usable samples the watchdog therefore
-        releases the coil.
+        Raises:
+            TissueIDError: it is not possible, the device refuses it, or the run failed meanwhile.
         """
-        try:
-            checked = self._receiver.take(self.link.read(timeout_s))
-        except LinkLostError as error:
-            raise self._with_watchdog(error) from error
-        if self.monitor.run is not None and self._clock() > self._overdue_at:
-            self.monitor.stop_due = True
-            self.monitor.fail(
-                InstrumentError(
-                    "instrument.overdue",
-                    "the test did not end within {seconds:.1f} s as it should: connect again, and measure again",
-                    seconds=self._overdue_s,
-                )
-            )
-        if checked and self.monitor.error is None:
-            self.channel.send_heartbeat()
-        if self.monitor.stop_due and not self.channel.silent:
-            self.release()
-        if self.monitor.run is not None and self.stream.next_index is not None:
-            self.sender.repeat(self.stream.next_index - self.monitor.run.first_index)
-        try:
-            self._receiver.check_heard()
-        except LinkLostError as error:
-            raise self._with_watchdog(error) from error
+        answer = self._outcome(event)
+        if answer.error is not None:
+            raise answer.error
+        return answer
 
-    def _with_watchdog(self, error: LinkLostError) -> LinkLostError:
-        """Return the error with the timeout of the watchdog: the coil may still be energised."""
-        if self._watchdog_s is None or error.watchdog_s is not None:
-            return error
-        return LinkLostError(
-            Message(
-                "link.lost_with_watchdog",
-                "{why}. The instrument's own watchdog releases the coil within {seconds:g} s",
-                why=error.message,
-                seconds=self._watchdog_s,
-            ),
-            self._watchdog_s,
-        )
+    def _outcome(self, event: RunEvent) -> machine.GiveAnswer:
+        """As ``_ask``; an error of the request itself is returned."""
+        self._raise_new_error()
+        self._answer = None
+        self._do(event)
+        while self._answer is None:
+            self.pump(_PUMP_S)
+        answer: machine.GiveAnswer = self._answer
+        self._await_release()
+        if answer.error is not None:
+            self._raise_new_error()
+        return answer
 
-    def _last_tries(self) -> int:
-        """Return the attempts for the last requests on a link: fewer if the newest request was not answered."""
-        return 1 if self.channel.unanswered else 2
+    def _raise_new_error(self) -> None:
+        """Raise the error of the run, once."""
+        error, raised = self.state.error, self._raised
+        self._raised = error
+        if error is not None and error is not raised:
+            raise error
+
+    def _busy(self) -> bool:
+        """Return whether a test is armed or running. A run whose last sample has arrived ends with its soft release."""
+        run, last = self.state.run, self.state.next_index
+        if run is not None and last is not None and last >= run.end_index:
+            self._wait_for_release()
+        return self.state.limits is not None
+
+    def _wait_for_release(self) -> None:
+        """Wait until the soft release after a run has ended."""
+        deadline = self._clock() + ANSWER_S
+        while self.status is not None and self.status.state is State.RUNNING and self._clock() < deadline:
+            self.request_status()
+            self.pump(_PUMP_S)
 
     def _expect_samples(self) -> None:
         """Wait for new samples, and discard those that arrived while the stimulus was sent.
@@ -494,8 +409,10 @@ class SerialInstrument:
         Raises:
             LinkLostError: no samples arrive.
         """
-        before, deadline = self.stream.next_index, self._clock() + ANSWER_S
-        while self.stream.next_index == before and self.monitor.error is None:
+        before, deadline = self.state.next_index, self._clock() + ANSWER_S
+        while self.state.next_index == before or self.state.mode is Mode.UNSEEN_END:
+            if self.state.error is not None:
+                break
             if self._clock() >= deadline:
                 raise LinkLostError(
                     Message(
@@ -505,12 +422,4 @@ class SerialInstrument:
                     )
                 )
             self.pump(_PUMP_S)
-        self.stream.drain()
-
-    def _ask_status(self) -> None:
-        self.channel.send(MessageType.STATUS_REQUEST)
-
-    def _run_ended(self) -> None:
-        """End the set-points: they are announced for one run only."""
-        self._following = 0
-        self.sender.stop()
+        self._ready.clear()

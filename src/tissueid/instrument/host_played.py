@@ -8,8 +8,9 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
+import tissueid.wire as wire
 from tissueid.device import DeviceDescription
-from tissueid.errors import TissueIDError
+from tissueid.instrument import run_machine as machine
 from tissueid.instrument.interface import (
     SAMPLE,
     SIGNALS,
@@ -17,18 +18,14 @@ from tissueid.instrument.interface import (
     Gap,
     Observer,
     Run,
-    calibration_while_running,
     check_corrections,
-    checked_descriptions,
     corrected,
     not_armed,
-    nothing_loaded,
-    unexpected_set_points,
 )
-from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
-from tissueid.instrument.replies import released_by_faults
+from tissueid.instrument.limits import Limits
+from tissueid.instrument.run_machine import Mode, RunState
 from tissueid.instrument.sample_monitor import SampleMonitor
-from tissueid.wire import Fault, Flag
+from tissueid.wire import Fault, Flag, MessageType, Result
 
 RAMP_S = 0.05
 """Duration of the ramp to the held level, and to zero at the end of a run, s."""
@@ -165,43 +162,48 @@ BLOCK = 20
 
 
 class HostPlayedInstrument(ABC):
-    """Playing, limits and checks of an instrument without firmware. Every poll returns the next ``BLOCK`` samples.
+    """An instrument without firmware: this process plays. Every poll returns the next ``BLOCK`` samples.
+
+    ``state`` is that of the machine (:mod:`tissueid.instrument.run_machine`), whose requests are carried out here.
 
     Args:
         device: properties of the instrument.
         winding: whether to calculate the temperature of the coil.
+        tail: number of samples after a run until its checks end.
+        temperature_c: readings of the temperature sensor before the first samples, shape (k,), degC.
     """
 
-    def __init__(self, device: DeviceDescription, *, winding: bool) -> None:
+    def __init__(
+        self, device: DeviceDescription, *, winding: bool, tail: int = 0, temperature_c: NDArray[np.float64]
+    ) -> None:
         self.device = self.nominal = device
         self.gaps: list[Gap] = []
         self.observer: Observer | None = None
-        self._checks = SampleMonitor(device, winding=winding)
-        self._corrections: Corrections = {}
-        self.command = np.zeros(0)
-        self._following = 0
-        self._hold_v = 0.0
-        self._playback = Playback(self.command, device.sample_rate_hz)
-        self._limits: Limits | None = None
-        self.current_run: Run | None = None
-        self._index = 0
+        checks = SampleMonitor(device, winding=winding)
+        self.state = RunState(
+            device.model, Mode.FREE, nominal=device, checks=checks, tail=tail, temperature_c=temperature_c
+        )
         self.energised = False
+        self._playback = Playback(np.zeros(0), device.sample_rate_hz)
+        self._index = 0
+        self._answer = machine.GiveAnswer()
 
     @abstractmethod
     def _exchange(self, samples: NDArray[np.void]) -> None:
         """Play the commands of ``samples``, shape (BLOCK,) of SAMPLE, and fill in the other signals."""
 
     @abstractmethod
-    def _coil_c(self) -> NDArray[np.float64]:
-        """Return the newest readings of the temperature sensor of the coil, degC, shape (k,)."""
-
-    @abstractmethod
     def _run_begins(self) -> None:
         """Prepare what changes from run to run."""
 
-    def _run_is_over(self, run: Run) -> bool:
-        """Whether the checks of a run end."""
-        return self._index >= run.end_index
+    def _coil_off(self) -> None:
+        """Release the coil: the command is zero from the next sample."""
+        self.energised = False
+
+    @property
+    def current_run(self) -> Run | None:
+        """The run that is played; None between two runs."""
+        return self.state.run
 
     def use_calibration(self, device: DeviceDescription, corrections: Corrections) -> None:
         """Use the device description and channel corrections of a calibration.
@@ -209,15 +211,12 @@ class HostPlayedInstrument(ABC):
         Raises:
             InstrumentError: a test is armed or running, or a channel does not exist.
         """
-        if self._limits is not None or self.current_run is not None:
-            raise calibration_while_running()
-        self._corrections = check_corrections(corrections, SIGNALS)
+        self._do(machine.CalibrationChosen(self._now, device, check_corrections(corrections, SIGNALS)))
         self.device = device
 
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Load a stimulus, shape (n,), V."""
-        self.command = np.asarray(command_v, np.float64)
-        self._following = 0
+        self._do(machine.LoadAsked(self._now, np.asarray(command_v, np.float64)))
 
     @property
     def late_blocks(self) -> int:
@@ -240,9 +239,7 @@ class HostPlayedInstrument(ABC):
         Raises:
             InstrumentError: nothing is loaded.
         """
-        if not self.command.size:
-            raise nothing_loaded()
-        self._following, self._hold_v = samples, hold_v
+        self._do(machine.FollowAsked(self._now, samples, hold_v))
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
         """Add set-points, shape (k,), V, for the samples of the run from ``offset``.
@@ -251,11 +248,7 @@ class HostPlayedInstrument(ABC):
             LimitError: a limit would be exceeded.
             InstrumentError: these set-points were not announced by ``follow``.
         """
-        end = offset + command_v.size
-        if self._limits is None or not self._playback.first <= offset < end <= self._playback.planned:
-            raise unexpected_set_points(offset, end)
-        for description in checked_descriptions(self.nominal, self.device):
-            check_command(command_v, description, self._limits)
+        self._do(machine.SetPointsGiven(self._now, offset, command_v))
         self._playback.take(offset, command_v)
 
     def effective_limits(self, limits: Limits) -> Limits:
@@ -263,21 +256,14 @@ class HostPlayedInstrument(ABC):
         return limits
 
     def arm(self, limits: Limits) -> None:
-        """Set the limits of the next run.
+        """Set the limits of the next run; release the coil if a run is not over.
 
         Raises:
             LimitError: the stimulus would exceed them.
         """
-        check_limits(limits, self.nominal)
-        for description in checked_descriptions(self.nominal, self.device):
-            check_stimulus(self.command, description, limits, self._following)
-            if self._following:
-                check_command(np.array([self._hold_v]), description, limits)
-        self._checks.arm(self._coil_c(), limits)
-        self._limits = limits
-        self._playback = Playback(self.command, self.device.sample_rate_hz, self._following, self._hold_v)
-        self._following = 0
-        self.energised = False
+        if self.state.run is not None:
+            self.release()
+        self._do(machine.ArmAsked(self._now, limits))
 
     def start(self) -> Run:
         """Play the stimulus from the next poll on.
@@ -285,12 +271,10 @@ class HostPlayedInstrument(ABC):
         Raises:
             InstrumentError: not armed.
         """
-        if self._limits is None:
+        if self.state.mode is not Mode.ARMED:
             raise not_armed()
-        self.current_run = Run(self._index, self._playback.planned)
-        self.energised = True
-        self._run_begins()
-        return self.current_run
+        self._do(machine.StartAsked(self._now))
+        return Run(self._index, self._playback.planned)
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
         """Return the next block, shape (20,) of SAMPLE.
@@ -306,39 +290,78 @@ class HostPlayedInstrument(ABC):
             self.energised = not self._playback.over
         self._exchange(samples)
         self._index += BLOCK
-        read, samples = samples, corrected(samples, self._corrections)
-        try:
-            calibrated = None if self.device is self.nominal else (samples, self.device)
-            self._checks.check(read, None if self.current_run is None else self._limits, self.current_run, calibrated)
-        except TissueIDError:
-            self.release()
-            raise
-        if self.current_run is not None:
-            if self._playback.starved:
-                self.release()
-                raise released_by_faults(Fault.STARVED)
-            if self._run_is_over(self.current_run):
-                self.current_run = None
-                self._limits = None
+        self._do(machine.SamplesTaken(self._now, samples))
+        if self._playback.starved and self.state.run is not None:
+            self._report(Fault.STARVED)
+        if (error := self.state.error) is not None:
+            self._do(machine.ClearAsked(self._now))
+            self._report(Fault.NONE)
+            raise error
+        samples = corrected(samples, self.state.corrections)
         if self.observer is not None:
             self.observer(samples)
         return samples
 
     def finish(self) -> int:
         """End the run now by its soft release, and return the number of samples played."""
-        played = self._playback.finish()
-        if self.current_run is None:
-            self._limits = None
-        else:
-            self.current_run = Run(self.current_run.first_index, played)
-        return played
+        self._do(machine.FinishAsked(self._now))
+        return self._answer.detail
 
     def release(self) -> None:
         """Release the coil: the command is zero from the next sample."""
-        self.current_run = None
-        self._limits = None
-        self.energised = False
+        self._do(machine.StopAsked(self._now))
 
     def close(self) -> None:
         """Release."""
         self.release()
+
+    @property
+    def _now(self) -> float:
+        """The time by the samples, s: the machine waits for nothing here."""
+        return self._index / self.nominal.sample_rate_hz
+
+    def _do(self, event: machine.RunEvent) -> None:
+        """Let an event happen, and carry out the actions and requests that follow from it.
+
+        Raises:
+            TissueIDError: what is asked for is not possible.
+        """
+        self.state, actions = machine.step(self.state, event)
+        for action in actions:
+            match action:
+                case machine.SendFrame(kind=kind) if kind is not MessageType.HEARTBEAT:
+                    self._confirm(action, self._carry_out(kind))
+                case machine.ReleaseCoil():
+                    self._coil_off()
+                    if action.stop is not None:
+                        self._confirm(action.stop, 0)
+                case machine.GiveAnswer():
+                    self._answer = action
+                    if action.error is not None:
+                        raise action.error
+
+    def _carry_out(self, kind: MessageType) -> int:
+        """Carry out a request and return the detail of its answer."""
+        if kind is MessageType.ARM:
+            state = self.state
+            self._playback = Playback(state.command_v, self.device.sample_rate_hz, state.following, state.hold_v)
+        elif kind is MessageType.START:
+            self._run_begins()
+            self.energised = True
+            return self._index
+        elif kind is MessageType.FINISH:
+            return self._playback.finish()
+        return 0
+
+    def _confirm(self, request: machine.SendFrame, detail: int) -> None:
+        """Give the machine the answer to a request."""
+        fields = {"request_type": request.kind, "request_sequence": request.sequence, "result": Result.OK}
+        payload = wire.pack(wire.ACK, detail=detail, **fields)
+        frame = wire.Frame(MessageType.ACK, sample_index=self._index, payload=payload)
+        self._do(machine.FrameReceived(self._now, frame))
+
+    def _report(self, faults: Fault) -> None:
+        """Give the machine a STATUS with these faults."""
+        fields = dict.fromkeys(wire.STATUS.names or (), 0) | {"faults": faults}
+        frame = wire.Frame(MessageType.STATUS, sample_index=self._index, payload=wire.pack(wire.STATUS, **fields))
+        self._do(machine.FrameReceived(self._now, frame))

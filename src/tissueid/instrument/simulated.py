@@ -109,7 +109,7 @@ class SimulatedInstrument(HostPlayedInstrument):
                 sample_rate_hz=named.sample_rate_hz,
             )
         self._player = player
-        super().__init__(device, winding=False)
+        super().__init__(device, winding=False, temperature_c=np.array([_COIL_C]))
         self._wait: Wait | None = None
         self._clock: Callable[[], float] = time.monotonic
         self._started_s = 0.0
@@ -143,9 +143,6 @@ class SimulatedInstrument(HostPlayedInstrument):
         samples["temperature"] = _COIL_C
         samples["acceleration_x"] = 9.81
 
-    def _coil_c(self) -> NDArray[np.float64]:
-        return np.array([_COIL_C])
-
     def poll(self, timeout_s: float) -> NDArray[np.void]:
         """Return the next block, shape (20,) of SAMPLE; in real time, wait for its last sample.
 
@@ -164,7 +161,7 @@ class SimulatedInstrument(HostPlayedInstrument):
         Raises:
             InstrumentError: a test is armed or running, or the position is outside the stroke.
         """
-        if self._limits is not None or self.current_run is not None:
+        if self.state.limits is not None:
             raise stage_while_running()
         stroke = self.device.stroke_m
         if position_m is not None and not 0.0 <= position_m <= stroke:

@@ -41,7 +41,7 @@ def test_asking_tells_who_it_is_and_lights_yellow_without_a_calibration(qtbot, p
     assert view.health.lamps.level == "check"
     assert "Not calibrated" in view.health.reasons.text()
     assert bench.opened[-1].current_run is None
-    assert bench.opened[-1].command.size == 0  # nothing was ever loaded
+    assert bench.opened[-1].state.command_v.size == 0  # nothing was ever loaded
 
 
 def test_a_calibrated_instrument_is_green_and_its_force_constants_stand_over_their_dates(qtbot, page, calibrations):
