@@ -23,14 +23,23 @@ def session_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_page_and_figures_are_written(session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_and_figures_are_written(
+    session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw = comparison_page.plain_image
+
+    def one(figure: object, target: Path, form: str) -> None:
+        draw(figure, target, form) if target.name.startswith("lms-impulse") else target.write_bytes(b"drawn")
+
+    monkeypatch.setattr(comparison_page, "plain_image", one)
     page, folder = tmp_path / "compare.html", tmp_path / "figures"
     arguments = ("--engines", "lms", "--memory", "0.02", "--out", str(page), "--figures", str(folder))
     assert main(["compare", str(session_file), *arguments]) == 0
     assert f"report: {page}" in capsys.readouterr().out.replace("\n", "")
     assert "Impulse response" in checked(page.read_text(encoding="utf-8")).text
-    assert (folder / "lms-impulse.svg").exists()
-    assert (folder / "lms-impulse.png").exists()
+    assert "<svg" in (folder / "lms-impulse.svg").read_text(encoding="utf-8")
+    assert (folder / "lms-impulse.png").read_bytes().startswith(b"\x89PNG")
+    assert len(list(folder.iterdir())) > 10
 
 
 def test_pictures_of_an_earlier_comparison_stay_and_are_named(

@@ -199,8 +199,7 @@ def _recommendation_lines(found: Recommendation) -> Iterator[str]:
 def overlay_tests(plan: OverlayPlan, out: Output) -> None:
     """Fit the tests, print their scores, and write the page, the figures, the numbers and the JSON."""
     check_different(plan.page, plan.csv, out.json_file)
-    done = out.run(run_overlay, plan)
-    found = done.found
+    found = out.run(run_overlay, plan)
     out.widen(120)
     columns = ("fitted\nVAF %", "held out\nVAF %", "scheduled\nVAF %", "AICc", "para-\nmeters", "sec-\nonds")
     rows = table("Scores", "tests", "fit", *columns)

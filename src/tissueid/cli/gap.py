@@ -26,7 +26,7 @@ from tissueid.gap.statement import (
     shown_probability,
 )
 from tissueid.gap.twin_export import NamedEffects
-from tissueid.instrument.twin_file import TwinFile
+from tissueid.instrument.twin_file import TwinFile, read_twin
 from tissueid.messages import MISSING
 from tissueid.procedures.diagnosis import (
     TwinFolderPlan,
@@ -34,7 +34,6 @@ from tissueid.procedures.diagnosis import (
     accept_effects,
     diagnose_folder,
     diagnose_session,
-    saved_twin,
     saved_twins,
     watch_folder,
 )
@@ -287,7 +286,7 @@ def show_twin(plan: TwinPlan, out: Output) -> None:
     Raises:
         UnusableInputError: the file is not a twin.
     """
-    print_twin(plan.file, saved_twin(plan), out)
+    print_twin(plan.file, read_twin(plan.file), out)
 
 
 def list_twins(plan: TwinFolderPlan, out: Output) -> None:

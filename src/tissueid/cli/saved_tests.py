@@ -34,8 +34,7 @@ def print_quality(plan: QualityPlan, out: Output) -> None:
     Raises:
         UnusableInputError: the file is not a session, or does not contain the test.
     """
-    checked = judge_tests(plan)
-    session, judged = checked.session, checked.tests
+    session, judged = judge_tests(plan)
     out.widen(120)
     rows = table("Quality", "test", "site", "kind", "verdict", "when it was recorded")
     answer = []
@@ -210,8 +209,7 @@ def _options(kind: type[Engine]) -> dict[str, dict[str, Any]]:
 
 def print_readings(plan: ReadingsPlan, out: Output) -> None:
     """Compute the readings, print them and write the JSON and the page."""
-    result = out.run(run_readings, plan)
-    found = result.found
+    session, found = out.run(run_readings, plan)
     out.widen(120)
     reasons: dict[str, int] = {}
     rows = table(_title(found), "reading", "", "recorded step", "model", "unit", "notes")
@@ -225,7 +223,7 @@ def print_readings(plan: ReadingsPlan, out: Output) -> None:
     out.print(rows)
     out.print_lines([*(f"  {number}. {reason}" for reason, number in reasons.items()), *map(str, found.notes)])
     out.print_files(report=plan.page)
-    out.write_json({"session_id": result.session.session_id} | found.as_answer())
+    out.write_json({"session_id": session.session_id} | found.as_answer())
 
 
 def _title(found: DeviceReadings) -> str:

@@ -300,15 +300,6 @@ class TwinFolderPlan(Plan):
     folder: Annotated[Path, Option(argument=True, metavar="DIR", help="folder; default: the current one")] = Path()
 
 
-def saved_twin(plan: TwinPlan) -> TwinFile:
-    """Read a twin.
-
-    Raises:
-        UnusableInputError: the file is not a twin.
-    """
-    return read_twin(plan.file)
-
-
 def saved_twins(plan: TwinFolderPlan) -> dict[Path, TwinFile]:
     """Read the twins of a folder, by file name; other files are left out.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -91,15 +90,7 @@ class RepeatsPlan(SourcesPlan):
     csv: Annotated[Path | None, Option("--csv", metavar="FILE", help="write the table")] = None
 
 
-@dataclass(frozen=True)
-class Overlaid:
-    """The fits, and the files of the figures."""
-
-    found: Overlay
-    figures: tuple[Path, ...] = ()
-
-
-def run_overlay(plan: OverlayPlan, control: Control) -> Overlaid:
+def run_overlay(plan: OverlayPlan, control: Control) -> Overlay:
     """Fit the tests of a plan and write its page, figures and numbers.
 
     Raises:
@@ -113,15 +104,15 @@ def run_overlay(plan: OverlayPlan, control: Control) -> Overlaid:
     calibration = None if plan.calibration is None else sweep_columns(plan.calibration)
     found = fitted(plan, control, sweep=_sweep(plan.sweep))
     if plan.page is None and plan.figures is None and plan.csv is None:
-        return Overlaid(found)
+        return found
     from tissueid.reports.overlay_page import overlay_report
 
     control.progress(None, Message("report.drawing", "Drawing the figures"))
     report = overlay_report(found, calibration)
-    figures = write_figures(report, plan.page, plan.figures)
+    write_figures(report, plan.page, plan.figures)
     if plan.csv is not None:
         write_text(plan.csv, report.csv())
-    return Overlaid(found, figures)
+    return found
 
 
 def run_repeats(plan: RepeatsPlan, control: Control) -> Overlay:

@@ -31,16 +31,8 @@ class QualityPlan(Plan):
     test: Annotated[int | None, Option("--test", metavar="N", help="one test; default: all")] = None
 
 
-@dataclass(frozen=True)
-class JudgedSession:
-    """A session and its judged tests, in their order."""
-
-    session: Session
-    tests: tuple[tuple[Test, Quality], ...]
-
-
-def judge_tests(plan: QualityPlan) -> JudgedSession:
-    """Judge the tests of a session; the file is not changed.
+def judge_tests(plan: QualityPlan) -> tuple[Session, tuple[tuple[Test, Quality], ...]]:
+    """Return a session and its tests with their quality, which is judged anew; the file is not changed.
 
     Raises:
         UnusableInputError: the file is not a session, or does not contain the test.
@@ -50,8 +42,7 @@ def judge_tests(plan: QualityPlan) -> JudgedSession:
 
     session = read_session(plan.session)
     chosen = session.test(plan.test).number if plan.test is not None or not session.tests else None
-    judged = tuple((test, found) for test, found in judge_session(session) if chosen in (None, test.number))
-    return JudgedSession(session, judged)
+    return session, tuple((test, found) for test, found in judge_session(session) if chosen in (None, test.number))
 
 
 _REFITTING = marked("Refitting the model")
@@ -89,16 +80,8 @@ class ReadingsPlan(Plan):
     page: Annotated[Path | None, Option("--report", metavar="FILE", help="write the readings as one HTML page")] = None
 
 
-@dataclass(frozen=True)
-class SessionReadings:
-    """Readings with the session of the step test."""
-
-    session: Session
-    found: DeviceReadings
-
-
-def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
-    """Compute the readings of a plan and write its page.
+def run_readings(plan: ReadingsPlan, control: Control) -> tuple[Session, DeviceReadings]:
+    """Compute the readings of a plan and write its page; return them after the session of the step test.
 
     Raises:
         UnusableInputError: a session, a test, the engine or an option cannot be used, neither way gives readings, or
@@ -133,7 +116,7 @@ def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
         from tissueid.reports.readings_page import readings_page
 
         write_text(plan.page, readings_page(session, found))
-    return SessionReadings(session, found)
+    return session, found
 
 
 _FITTING = marked("Fitting the engines")
