@@ -19,7 +19,7 @@ FIELDS = {
     hydration: Annotated[
         float | None,
         Setting("--hydration", metavar="SHARE", help="water of the skin", choices=NOT_RECORDED),
-        Field(title="Hydration", description="Water content of the skin", ge=0.0, le=1.0),
+        Field(title="Skin hydration", description="Water content of the skin", ge=0.0, le=1.0),
     ] = None
 """,
     "    minutes_since_application: Annotated[": """
@@ -145,7 +145,7 @@ def check_table_and_report(path: Path) -> None:
     assert (float(values["hydration"]), values["posture"]) == (0.4, "lying")
     assert main(["report", str(path), "--out", str(page), "--engines", "lms"]) == 0
     words = " ".join(re.sub("<[^>]*>", " ", page.read_text()).split())
-    assert "Hydration 0.4 " in words
+    assert "Skin hydration 0.4 " in words
     assert "Posture Lying " in words  # the declared label of the value
     keys = ("created", "session", "subject", "site", "condition", "configuration", "engine")
     row = dict.fromkeys(keys, "") | {"test": 1, "status": "completed", "quality": "good"}
@@ -170,7 +170,7 @@ def check_form() -> None:
     form.choose(hydration=0.5, posture="lying")
     notes = TestPlan(url="x", site="arm", out=Path("x"), **form.values()).as_notes()
     assert (notes["hydration"], notes["posture"]) == (0.5, "lying")
-    for name, label in (("hydration", "Hydration"), ("posture", "Posture")):
+    for name, label in (("hydration", "Skin hydration"), ("posture", "Posture")):
         assert form.settings[name].label == label
         assert form.settings[name].isVisibleTo(form)
     form.settings["hydration"].set_value(2.0)

@@ -16,7 +16,7 @@ from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE, Run
 from tissueid.messages import translated
 from tissueid.procedures.control import Control
-from tissueid.procedures.recovery import RecoveryPlan, run_recovery, unfinished_journals
+from tissueid.procedures.import_export import RecoveryPlan, run_recovery, unfinished_journals
 from tissueid.sessions import read_session
 from tissueid.wire import Flag
 

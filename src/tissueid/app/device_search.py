@@ -24,8 +24,8 @@ from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.instrument.twin_list import twins_in
 from tissueid.language import _, plural
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.import_export import RecoveredSession, recover_folder, unfinished_journals
 from tissueid.procedures.instruments import survey_instruments
-from tissueid.procedures.recovery import RecoveredSession, recover_folder, unfinished_journals
 
 _MOST_NAMED = 4
 

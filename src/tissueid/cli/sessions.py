@@ -11,10 +11,9 @@ from tissueid.cli.output import Output, table
 from tissueid.formatting import clean, number
 from tissueid.messages import stored
 from tissueid.procedures.demo import SAMPLES, SamplesPlan, make_samples
-from tissueid.procedures.import_export import ExportPlan, ImportPlan, run_export, run_import
+from tissueid.procedures.import_export import ExportPlan, ImportPlan, RecoveryPlan, run_export, run_import, run_recovery
 from tissueid.procedures.instruments import DevicesPlan, audit_trail, listed_instruments
 from tissueid.procedures.output_files import check_different
-from tissueid.procedures.recovery import RecoveryPlan, run_recovery
 
 if TYPE_CHECKING:
     from tissueid.sessions import Test

@@ -20,7 +20,7 @@ from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number, subject_text
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
-from tissueid.procedures.recovery import unfinished_journals
+from tissueid.procedures.import_export import unfinished_journals
 from tissueid.procedures.study_protocol import PROTOCOL_FILE
 from tissueid.sessions import Outline, read_outline, read_session_head
 from tissueid.sessions.accepted_result import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
