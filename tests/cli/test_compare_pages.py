@@ -12,7 +12,7 @@ from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.cli import main
-from tissueid.reports import comparison_page
+from tissueid.reports import page as page_module
 from tissueid.sessions import read_session, write_session
 
 
@@ -26,12 +26,12 @@ def session_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_page_and_figures_are_written(
     session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw = comparison_page.plain_image
+    draw = page_module.plain_image
 
     def one(figure: object, target: Path, form: str) -> None:
         draw(figure, target, form) if "lms-impulse" in target.name else target.write_bytes(b"drawn")
 
-    monkeypatch.setattr(comparison_page, "plain_image", one)
+    monkeypatch.setattr(page_module, "plain_image", one)
     page, folder = tmp_path / "compare.html", tmp_path / "figures"
     arguments = ("--engines", "lms", "--memory", "0.02", "--out", str(page), "--figures", str(folder))
     assert main(["compare", str(session_file), *arguments]) == 0
@@ -45,7 +45,7 @@ def test_page_and_figures_are_written(
 def test_pictures_of_an_earlier_comparison_stay_and_are_named(
     session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(comparison_page, "plain_image", lambda _figure, target, _form: target.write_bytes(b"drawn"))
+    monkeypatch.setattr(page_module, "plain_image", lambda _figure, target, _form: target.write_bytes(b"drawn"))
     folder = tmp_path / "figures"
     folder.mkdir()
     names = [*(f"dpn-{number}.svg" for number in range(4)), "holiday.png"]
