@@ -130,7 +130,7 @@ def test_a_clinician_sees_the_values_and_no_terms_of_models(panel):
     newest.view = seen()
     panel.show_live(newest)
     visible = [card for card in panel.cards if not card.isHidden()]
-    assert visible == [panel.course]
+    assert visible == [panel.plots["course"]]
     assert panel.vaf.isHidden()
     assert panel.tabs.isHidden()
     newest.problem = Message("record.few_samples", "{count} usable samples for {parameters} parameters", count=1)
@@ -160,12 +160,12 @@ def test_what_is_not_there_yet_is_said_in_its_place(panel):
     newest = Newest()
     newest.view = seen(0.3)
     panel.show_live(newest)
-    assert words(panel.impulse) == ""
-    assert reads(words(panel.bode), "online.short_for_coherence", segments=3, memory=0.125)
-    assert words(panel.course) == words(panel.bode)
+    assert words(panel.plots["impulse"]) == ""
+    assert reads(words(panel.plots["bode"]), "online.short_for_coherence", segments=3, memory=0.125)
+    assert words(panel.plots["course"]) == words(panel.plots["bode"])
     newest.view = seen(4.0)
     panel.show_live(newest)
-    assert words(panel.bode) == ""
+    assert words(panel.plots["bode"]) == ""
 
 
 def test_a_problem_is_told_and_the_test_goes_on(panel):
@@ -234,7 +234,7 @@ def test_phase_and_nonlinearity_are_seen_at_1280x740_without_scrolling(qtbot, op
     panel.expect(TestPlan(url="simulated://forearm", site="left forearm", out=saved))
     qtbot.waitUntil(panel.isVisible, timeout=WAIT_MS)
     panel.show_view(seen())
-    for card in (panel.curve, panel.phase):
+    for card in (panel.plots["curve"], panel.plots["phase"]):
         corner = card.mapTo(window, card.rect().bottomRight())
         assert window.rect().contains(corner), card
         assert not card.visibleRegion().isEmpty()

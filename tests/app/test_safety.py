@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from PySide6.QtCore import Qt
 
 from tissueid.acquisition.quality import Quality, QualityFinding
-from tissueid.app.calibration_state import UNKNOWN, calibration_state
 from tissueid.app.live_signals import LinearRange, Safety, SafetyWatch, linear_region
 from tissueid.app.quality_gate import MOST_SHOWN, UNJUDGED, QualityGatePanel
 from tissueid.app.readouts import KEYS_LOST, KEYS_REACH, SafetyReadouts
 from tissueid.app.signals import LINEAR, OUTSIDE
+from tissueid.app.words import UNKNOWN, calibration_state
 from tissueid.calibration import CalibratedQuantity, Calibration, write_calibration
 from tissueid.device import DeviceDescription
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument

@@ -12,7 +12,6 @@ from app.views.technician_pages import sweep
 from PySide6.QtCore import QSettings
 
 from tissueid import units
-from tissueid.app.calibration_state import figure_of
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.plotting import PlotCard
 from tissueid.app.result import SittingSummary
@@ -24,6 +23,7 @@ from tissueid.app.views.researcher.save_dialog import write_figure
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.signals import SignalFigure, StatisticsTable
 from tissueid.app.views.technician.calibration_panels import SweepsPanel
+from tissueid.app.words import figure_of
 from tissueid.calibration import CalibratedQuantity
 from tissueid.calibration.status import label_of
 from tissueid.formatting import figure_text, value_and_rest

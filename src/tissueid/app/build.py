@@ -79,7 +79,7 @@ def column(
     return fill(box, *items, spacing=spacing, margins=margins)
 
 
-def styled(widget: AnyObject, **properties: Any) -> AnyObject:
+def styled(widget: AnyObject, /, **properties: Any) -> AnyObject:
     """Set properties of a widget: ``tip``, ``name`` (for screen readers), those of the style sheet, and those of Qt.
 
     ``word_wrap=True`` calls ``setWordWrap(True)``, ``range=(0, 9)`` calls ``setRange(0, 9)``. ``clicked`` is called,
@@ -96,7 +96,7 @@ def styled(widget: AnyObject, **properties: Any) -> AnyObject:
     return widget
 
 
-def restyle(widget: AnyWidget, **properties: Any) -> AnyWidget:
+def restyle(widget: AnyWidget, /, **properties: Any) -> AnyWidget:
     """Set properties of a widget that is shown, and apply the style sheet to it again."""
     styled(widget, **properties)
     widget.style().unpolish(widget)

@@ -15,7 +15,6 @@ from PySide6.QtCore import QObject
 
 from tissueid.acquisition.playback import Phase, Progress
 from tissueid.app.calibration_page import CalibrationOutcome, CalibrationPage, PromptState
-from tissueid.app.calibration_state import calibration_state
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.context import AppContext, AppServices
 from tissueid.app.emergency import EmergencyStop
@@ -26,7 +25,7 @@ from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.signals import SignalPlots
-from tissueid.app.words import in_words, sentence
+from tissueid.app.words import calibration_state, in_words, sentence
 from tissueid.audit import AuditTrail
 from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.status import create_calibration_folder, stored_calibrations

@@ -20,13 +20,12 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app import build
-from tissueid.app.calibration_state import CalibrationState, figure_of
 from tissueid.app.live_signals import Array
 from tissueid.app.number_field import NumberField
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.widgets import BigButton
-from tissueid.app.words import sentence
+from tissueid.app.words import CalibrationState, figure_of, sentence
 from tissueid.calibration.file import CalibratedQuantity, Calibration
 from tissueid.calibration.status import headline_of, problems_of
 from tissueid.device import DeviceDescription

@@ -15,7 +15,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app import build
-from tissueid.app.calibration_state import CalibrationState
+from tissueid.app.words import CalibrationState
 from tissueid.formatting import clean
 from tissueid.instrument import FoundInstrument
 from tissueid.instrument.discovery import IN_PROCESS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from PySide6.QtCore import QEvent, QObject, Qt, Signal
-from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QShortcut
+from PySide6.QtGui import QFocusEvent, QKeyEvent
 from PySide6.QtWidgets import (
     QAbstractButton,
     QApplication,
@@ -81,9 +81,7 @@ def install_shortcuts(actions: Iterable[PaletteEntry], window: QWidget) -> None:
     """Make the shortcuts of the actions that have one."""
     for action in actions:
         if action.keys:
-            shortcut = QShortcut(QKeySequence(action.keys), window)
-            shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
-            shortcut.activated.connect(action.run)
+            build.shortcut(window, action.keys, action.run, Qt.ShortcutContext.ApplicationShortcut)
 
 
 def _nothing_to_stop(ui: Layout) -> str:
@@ -204,9 +202,7 @@ class CommandPalette(QFrame):
         self.words.pressed.connect(self._take_key)
         self.words.left.connect(self.hide)
         self.list.itemClicked.connect(self._run)
-        shortcut = QShortcut(QKeySequence(PALETTE_KEY), window)
-        shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
-        shortcut.activated.connect(self.toggle)
+        build.shortcut(window, PALETTE_KEY, self.toggle, Qt.ShortcutContext.WindowShortcut)
         window.installEventFilter(self)
         self.hide()
 

@@ -9,13 +9,12 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Signal
 
-from tissueid.app.calibration_state import CalibrationState, calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.form import PlanForm
 from tissueid.app.jobs import JobControl
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
-from tissueid.app.words import in_words, sentence
+from tissueid.app.words import CalibrationState, calibration_state, in_words, sentence
 from tissueid.audit import AuditTrail
 from tissueid.errors import TissueIDError
 from tissueid.formatting import clean

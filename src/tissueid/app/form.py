@@ -170,6 +170,17 @@ class PlanForm(QWidget):
         self._apply_limits()
         self.renew_path()
 
+    @property
+    def fields(self) -> list[QWidget]:
+        """The controls in the order of the tab key, without the options of the stimulus."""
+        return [
+            *(self.instrument.choice, self.instrument.refresh, self.site, self.map, self.subject, self.is_pseudonym),
+            *(self.product, self.minutes, *self.set_up.fields, self.limits, self.preset, self.fold),
+            *self.stimulus.fields,
+            *(control for field in self.options.values() for control in field.controls),
+            *(self.path, self.browse),
+        ]
+
     def plan(self) -> TestPlan:
         """Return the plan of the fields. A dated file name gets the current time.
 

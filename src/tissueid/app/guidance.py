@@ -14,13 +14,13 @@ from PySide6.QtWidgets import QCheckBox, QFrame, QHBoxLayout, QLabel, QProgressB
 from tissueid.acquisition.playback import Phase
 from tissueid.acquisition.surface_detection import MARGIN_M, PLACE_S, RECENT_S, Contact, contact_at, finite
 from tissueid.app.build import button, fill, label, restyle, row, styled, timer
-from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.form import PlanForm
 from tissueid.app.live_signals import Snapshot
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
 from tissueid.app.readouts import SafetyReadouts
+from tissueid.app.words import calibration_state
 from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
 from tissueid.procedures.instruments import ContactWatch, WatchEnd, watch_contact

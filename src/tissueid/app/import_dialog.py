@@ -246,9 +246,8 @@ class ImportDialog(QDialog):
         for row, column in enumerate(self._preview.columns):
             name = clean(column.column.header)[:60]
             table.setItem(row, 0, QTableWidgetItem(name or str(row + 1)))
-            roles = styled(QComboBox(), name=_("What column {name} is").format(name=name))
-            for role in ("", *ROLES):
-                roles.addItem(_(_ROLE_NAMES[role]), role)
+            known = {role: _(_ROLE_NAMES[role]) for role in ("", *ROLES)}
+            roles = build.choice(known, name=_("What column {name} is").format(name=name))
             units = styled(
                 QComboBox(),
                 name=_("Unit of column {name}").format(name=name),
@@ -325,11 +324,8 @@ class ImportDialog(QDialog):
 
 
 def _choice(names: dict[str, str], known: Sequence[str], usual: str = "") -> QComboBox:
-    box = QComboBox()
-    box.addItem(usual or _("as the file says, else the usual one"), None)
-    for name in known:
-        box.addItem(_(names[name]), name)
-    return box
+    entries: dict[str | None, str] = {None: usual or _("as the file says, else the usual one")}
+    return build.choice(entries | {name: _(names[name]) for name in known})
 
 
 def _whole(field: QLineEdit) -> int | None:

@@ -17,9 +17,7 @@ from PySide6.QtWidgets import (
     QMainWindow,
     QPushButton,
     QScrollArea,
-    QSplitter,
     QStackedWidget,
-    QTabWidget,
     QWidget,
 )
 
@@ -91,8 +89,7 @@ class Layout:
         self.role = RoleChooser(state.role)
         self.safety = SafetyReadouts()
         self.gate = QualityGatePanel()
-        self._verdict = QWidget()
-        build.column(self.gate, parent=self._verdict)
+        self._verdict = build.holder(build.column(self.gate))
         self.start = build.styled(BigButton(_("&Start test")), role="start")
         self.stop = build.styled(
             BigButton(_("STOP – release coil")),
@@ -108,21 +105,12 @@ class Layout:
         self.analysis = LiveAnalysis()
         self.running = self._make_running()
         self.result = ResultPage()
-        self.pages = QTabWidget()
-        # Else the tab key takes the page for its tab bar, wherever the page stands in the order.
-        self.pages.setFocusProxy(None)  # type: ignore[arg-type]
-        self.pages.setDocumentMode(True)
-        self.pages.tabBar().setDrawBase(False)
-        self.pages.addTab(self.running, _("Sig&nals"))
-        self.pages.addTab(self.result, _("Res&ult"))
         self.calibration = CalibrationPage()
-        self.pages.addTab(self.calibration, _("Calibration"))
+        parts = (self.running, _("Sig&nals")), (self.result, _("Res&ult")), (self.calibration, _("Calibration"))
+        self.pages = build.tabs(_("Signals and result"), *parts)
+        build.single_tab_stop(self.pages)
         self.pages.setTabVisible(1, False)
         self.pages.currentChanged.connect(self._turn_tab)
-        # One stop of the tab key, not two: the bar alone.
-        self.pages.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.pages.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.pages.tabBar().setAccessibleName(_("Signals and result"))
         self.rail = NavigationBar()
         self.halt = build.button(
             _("STOP"),
@@ -150,51 +138,21 @@ class Layout:
 
     def show_role(self, role: Role) -> None:
         """Show the parts of a role."""
-        self.form.show_role(role)
-        self.gate.show_role(role)
-        self.result.show_role(role)
-        self.analysis.show_role(role)
+        for part in (self.form, self.gate, self.result, self.analysis):
+            part.show_role(role)
         self.pages.setTabVisible(2, role == "technician")
 
     def order_tabs(self) -> None:
         """The order in which the tab key visits the guided test, once all pages stand."""
+        gate, lamp, result = self.gate, self.guidance.lamp, self.result
         order: list[QWidget] = [
-            *self.study_card.buttons,
-            self.form.instrument.choice,
-            self.form.instrument.refresh,
-            self.form.site,
-            self.form.map,
-            self.form.subject,
-            self.form.is_pseudonym,
-            self.form.product,
-            self.form.minutes,
+            *(*self.study_card.buttons, *self.form.fields, lamp.watch, lamp.arm, self.start, self.stop),
+            *(self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss),
+            *(gate.more, gate.judge_now, gate.calibrate, gate.run_again),
+            *(gate.repeats.repeat, gate.repeats.accept, gate.repeats.undo, self.pages.tabBar(), self.analysis.tabs),
+            *(result, result.test, result.details, result.pdf, result.comparison.cancel),
+            *(*self.calibration.fields, *self.rail.buttons.values(), *self.rail.feet),
         ]
-        order += self.form.set_up.fields
-        order += [
-            self.form.limits,
-            self.form.preset,
-            self.form.fold,
-            *self.form.stimulus.fields,
-            *(control for field in self.form.options.values() for control in field.controls),
-            self.form.path,
-            self.form.browse,
-            self.guidance.lamp.watch,
-        ]
-        order += [self.guidance.lamp.arm, self.start, self.stop]
-        order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
-        order += [self.gate.more, self.gate.judge_now, self.gate.calibrate, self.gate.run_again]
-        order += [self.gate.repeats.repeat, self.gate.repeats.accept, self.gate.repeats.undo]
-        order += [
-            self.pages.tabBar(),
-            self.analysis.tabs,
-            self.result,
-            self.result.test,
-            self.result.details,
-            self.result.pdf,
-            self.result.comparison.cancel,
-        ]
-        order += self.calibration.fields
-        order += [*self.rail.buttons.values(), *self.rail.feet]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
         self.form.order_options()
@@ -229,10 +187,7 @@ class Layout:
         """Put the help, closed, to the right of the page, or in its place where the window is narrow."""
         panel.hide()
         self._help = panel
-        self._beside.addWidget(panel)
-        self._beside.setStretchFactor(0, 1)
-        self._beside.setStretchFactor(1, 0)
-        self._beside.setSizes([_ANY_WIDTH, _HELP_WIDTH])
+        build.splitter((self.stack, 1), (panel, 0), sizes=(_ANY_WIDTH, _HELP_WIDTH), made=self._beside)
         panel.turned.connect(self._make_room)
 
     @property
@@ -301,8 +256,7 @@ class Layout:
         page.resized.connect(self._fold)
         page.setMinimumSize(*_LEAST_ROOM)  # next to the docks
         line = NoticeLine(self.notice)
-        self._beside = build.styled(QSplitter(Qt.Orientation.Horizontal), children_collapsible=False)
-        self._beside.addWidget(self.stack)
+        self._beside = build.splitter((self.stack, 1))
         columns = build.row(self.rail, (build.column(line, (self._beside, 1), spacing=0), 1), spacing=0)
         build.column((columns, 1), spacing=0, parent=page)
         self.notice.setParent(page)
@@ -310,13 +264,10 @@ class Layout:
 
     def test_page(self) -> QWidget:
         """Create the page of the guided test: the form at the side, signals and result next to it."""
-        page = QWidget()
-        content = QWidget()
-        build.column(self.guidance, self._verdict, (self.pages, 1), spacing=8, margins=(12, 10, 12, 10), parent=content)
         self.pages.setMinimumHeight(_LEAST_TABS)
-        self.main_scroll = PageScroll(content)
-        build.row(self._side(), (self.main_scroll, 1), spacing=0, parent=page)
-        return page
+        content = build.column(self.guidance, self._verdict, (self.pages, 1), spacing=8, margins=(12, 10, 12, 10))
+        self.main_scroll = PageScroll(build.holder(content))
+        return build.holder(build.row(self._side(), (self.main_scroll, 1), spacing=0))
 
     def show_part(self, part: QWidget) -> None:
         """Show a tab of the guided test from its top: the signals, the result or the calibration."""
@@ -326,9 +277,8 @@ class Layout:
 
     def _make_running(self) -> QWidget:
         """Signals and live estimates, below each other where there is no room for two columns."""
-        content = QWidget()
-        build.fill(FoldingBox(_TWO_COLUMNS, content), (self.signals, 3), (self.analysis, 4), spacing=8)
-        return PageScroll(content)
+        plots = build.fill(FoldingBox(_TWO_COLUMNS), (self.signals, 3), (self.analysis, 4), spacing=8)
+        return PageScroll(build.holder(plots))
 
     def _fold(self, width: int) -> None:
         """Give the page more of a narrow window."""
@@ -341,36 +291,23 @@ class Layout:
         header = build.styled(QFrame(), role="header")
         title = build.styled(QLabel("TissueID"), role="title")
         self._research = build.styled(QLabel(_(RESEARCH_USE)), role="research")
-        build.row(
-            title,
-            self._research,
-            None,
-            self.halt,
-            self.role,
-            self.open,
-            self.report,
-            spacing=10,
-            margins=(14, 7, 12, 7),
-            parent=header,
-        )
+        parts = title, self._research, None, self.halt, self.role, self.open, self.report
+        build.row(*parts, spacing=10, margins=(14, 7, 12, 7), parent=header)
         return header
 
     def _side(self) -> QWidget:
         """The form, scrolled where it does not fit, above what is always there: how things stand, and two buttons."""
-        content = QWidget()
-        build.column(self.study_card, self.form, spacing=10, margins=(14, 10, 14, 10), parent=content)
-        scroll = QScrollArea()
-        scroll.setWidget(content)
-        build.styled(
-            scroll, widget_resizable=True, frame_shape=QFrame.Shape.NoFrame, focus_policy=Qt.FocusPolicy.NoFocus
+        scroll = build.styled(
+            QScrollArea(),
+            widget=build.holder(build.column(self.study_card, self.form, spacing=10, margins=(14, 10, 14, 10))),
+            widget_resizable=True,
+            frame_shape=QFrame.Shape.NoFrame,
+            focus_policy=Qt.FocusPolicy.NoFocus,
+            minimum_height=_LEAST_FORM,
         )
         for choice in self.form.findChildren(QComboBox):  # or the longest entry decides how wide the form is
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        scroll.setMinimumHeight(_LEAST_FORM)
-        side = self._side_frame
-        build.styled(side, role="side", fixed_width=SIDE_WIDTH)
-        column = build.column((scroll, 1), spacing=8, margins=(0, 0, 0, 12), parent=side)
-        for part in (self.safety, self.start, self.stop):
-            row = build.row(part, spacing=None, margins=(14, 0, 14, 0))
-            column.addLayout(row)
+        below = [build.row(part, spacing=None, margins=(14, 0, 14, 0)) for part in (self.safety, self.start, self.stop)]
+        side = build.styled(self._side_frame, role="side", fixed_width=SIDE_WIDTH)
+        build.column((scroll, 1), *below, spacing=8, margins=(0, 0, 0, 12), parent=side)
         return side

@@ -76,6 +76,31 @@ _NARROW = {
 _PLAIN: dict[str, tuple[str, ...]] = {"course": ("course",)}
 """What a clinician sees: how mass, damping and stiffness settle. The other plots are for researchers."""
 
+_FREQUENCY, _BOTH = marked("Frequency (Hz)"), ("bottom", "left")
+_PLOTS: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
+    "impulse": (marked("Impulse response"), marked("Lag (ms)"), "mm/(N·s)", ()),
+    "bode": (marked("Bode magnitude"), "", "mm/N", _BOTH),
+    "curve": (marked("Static nonlinearity"), marked("Linear prediction (mm)"), "mm", ()),
+    "phase": (marked("Bode phase"), _FREQUENCY, "°", ("bottom",)),
+    "course": (marked("Change of the values"), marked("Time (s)"), "%", ()),
+    "coherence": (marked("Coherence"), _FREQUENCY, "", ("bottom",)),
+    "force_spectrum": (marked("Force spectrum"), _FREQUENCY, "N²/Hz", _BOTH),
+    "position_spectrum": (marked("Position spectrum"), _FREQUENCY, "mm²/Hz", _BOTH),
+}
+"""Title, label of the abscissa, unit and logarithmic axes of each plot, two in a row."""
+_OF_RESPONSE = marked("Of the impulse response"), _ORANGE
+_OF_SPECTRUM = (marked("Power spectral density; flat parts at high frequency are noise of the sensor"),)
+_TIPS: dict[str, tuple[str, ...]] = {
+    "impulse": (marked("Band: one standard deviation to either side"), _ORANGE),
+    "bode": _OF_RESPONSE,
+    "phase": _OF_RESPONSE,
+    "curve": (marked("Measured position against the linear prediction; a linear tissue lies on the dotted line"),),
+    "course": (marked("Parameters against their newest value; bands: one standard deviation to either side"),),
+    "coherence": (marked("Share of the motion that the force explains at each frequency; below the dotted line none"),),
+    "force_spectrum": _OF_SPECTRUM,
+    "position_spectrum": _OF_SPECTRUM,
+}
+
 _WIDEST_PERCENT = 30.0
 """Half of what the plot of the parameters shows at most, so that its first moments do not squeeze the rest."""
 
@@ -90,6 +115,7 @@ class LiveAnalysis(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
+        self.plots: dict[str, PlotCard] = {}
         self._shown: LiveView | None = None
         self._planned_s = 4.0
         self._plain = False
@@ -208,61 +234,33 @@ class LiveAnalysis(QWidget):
         shown = self._parts.get(self.tabs.tabData(self.tabs.currentIndex()))
         for row, *pair in zip(self._rows, self.cards[::2], self.cards[1::2], strict=True):
             for card in pair:
-                card.setVisible(shown is None or any(card is getattr(self, name) for name in shown))
+                card.setVisible(shown is None or any(card is self.plots[name] for name in shown))
             self._layout.setStretchFactor(row, int(any(not card.isHidden() for card in pair)))
 
     def _build_plots(self) -> None:
         if self.cards:
             return
-        self.impulse = styled(
-            PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)"),
-            tip=f"{_('Band: one standard deviation to either side')}. {_(_ORANGE)}",
-        )
-        self.bode = styled(
-            PlotCard(_("Bode magnitude"), "", "mm/N", log_axes=("bottom", "left")),
-            tip=f"{_('Of the impulse response')}. {_(_ORANGE)}",
-        )
-        self.phase = styled(
-            PlotCard(_("Bode phase"), _("Frequency (Hz)"), "°", log_axes=("bottom",)),
-            tip=f"{_('Of the impulse response')}. {_(_ORANGE)}",
-        )
-        self.coherence = styled(
-            PlotCard(_("Coherence"), _("Frequency (Hz)"), "", log_axes=("bottom",)),
-            tip=_("Share of the motion that the force explains at each frequency; below the dotted line none"),
-        )
-        self.curve = styled(
-            PlotCard(_("Static nonlinearity"), _("Linear prediction (mm)"), "mm"),
-            tip=_("Measured position against the linear prediction; a linear tissue lies on the dotted line"),
-        )
-        self.course = styled(
-            PlotCard(_("Change of the values"), _("Time (s)"), "%"),
-            tip=_("Parameters against their newest value; bands: one standard deviation to either side"),
-        )
-        self.force_spectrum = PlotCard(_("Force spectrum"), _("Frequency (Hz)"), "N²/Hz", log_axes=("bottom", "left"))
-        self.position_spectrum = PlotCard(
-            _("Position spectrum"), _("Frequency (Hz)"), "mm²/Hz", log_axes=("bottom", "left")
-        )
-        for card in (self.force_spectrum, self.position_spectrum):
-            card.setToolTip(_("Power spectral density; flat parts at high frequency are noise of the sensor"))
-        model = self.impulse, self.bode, self.curve, self.phase, self.course, self.coherence
-        self.cards = (*model, self.force_spectrum, self.position_spectrum)
-        self._response_band = self.impulse.band("measured")
-        self._response = self.impulse.line("measured", width=2)
-        self._response_fit = self.impulse.line("model")
-        self._magnitude = self.bode.line("measured", width=2)
-        self._magnitude_fit = self.bode.line("model")
-        self._phase = self.phase.line("measured", width=2)
-        self._phase_fit = self.phase.line("model")
-        self._coherent = self.coherence.line("measured", width=2)
-        self._floor = self.coherence.mark(upright=False)
-        self.coherence.plot.getAxis("left").setTicks([[(0.0, "0"), (0.5, "0.5"), (1.0, "1")]])
-        self.coherence.plot.setYRange(0.0, 1.0, padding=0.04)
-        self._spectra = self.force_spectrum.line("measured"), self.position_spectrum.line("measured")
-        self._diagonal = self.curve.line("muted")
-        self._levels = self.curve.dots("measured", 6)
-        self._fitted = self.curve.line("model", width=2)
-        self._course_bands = {name: self.course.band(_ROLES[name]) for name in _QUANTITIES}
-        self._courses = {name: self.course.line(_ROLES[name], width=2) for name in _QUANTITIES}
+        for name, (title, below, unit, logarithmic) in _PLOTS.items():
+            card = PlotCard(_(title), _(below) if below else "", unit, log_axes=logarithmic)
+            self.plots[name] = styled(card, tip=". ".join(map(_, _TIPS[name])))
+        self.cards = tuple(self.plots.values())
+        self._response_band = self.plots["impulse"].band("measured")
+        self._response = self.plots["impulse"].line("measured", width=2)
+        self._response_fit = self.plots["impulse"].line("model")
+        self._magnitude = self.plots["bode"].line("measured", width=2)
+        self._magnitude_fit = self.plots["bode"].line("model")
+        self._phase = self.plots["phase"].line("measured", width=2)
+        self._phase_fit = self.plots["phase"].line("model")
+        self._coherent = self.plots["coherence"].line("measured", width=2)
+        self._floor = self.plots["coherence"].mark(upright=False)
+        self.plots["coherence"].plot.getAxis("left").setTicks([[(0.0, "0"), (0.5, "0.5"), (1.0, "1")]])
+        self.plots["coherence"].plot.setYRange(0.0, 1.0, padding=0.04)
+        self._spectra = self.plots["force_spectrum"].line("measured"), self.plots["position_spectrum"].line("measured")
+        self._diagonal = self.plots["curve"].line("muted")
+        self._levels = self.plots["curve"].dots("measured", 6)
+        self._fitted = self.plots["curve"].line("model", width=2)
+        self._course_bands = {name: self.plots["course"].band(_ROLES[name]) for name in _QUANTITIES}
+        self._courses = {name: self.plots["course"].line(_ROLES[name], width=2) for name in _QUANTITIES}
         for pair in zip(self.cards[::2], self.cards[1::2], strict=True):
             plots = FoldingBox(2 * _CARD_WIDTH + _SPACING)
             plots.setSpacing(_SPACING)
@@ -296,7 +294,7 @@ class LiveAnalysis(QWidget):
 
     def _show_response(self, view: LiveView, missing: str) -> None:
         response, std = MM * view.impulse_response, view.impulse_response_std
-        self.impulse.say_missing("" if response.size else missing)
+        self.plots["impulse"].say_missing("" if response.size else missing)
         if not response.size:
             return
         lag = MS * view.lag_s
@@ -307,13 +305,13 @@ class LiveAnalysis(QWidget):
             fine = np.linspace(0.0, float(view.lag_s[-1]), _FINE)
             fitted = view.second_order.sign * view.second_order.system.impulse_response(fine)
             self._response_fit.setData(MS * fine, MM * fitted)
-        self.impulse.plot.setXRange(0.0, float(lag[-1]), padding=0.02)
+        self.plots["impulse"].plot.setXRange(0.0, float(lag[-1]), padding=0.02)
 
     def _show_bode(self, view: LiveView, bode: LiveBode | None, missing: str) -> None:
         there = bode is not None and bode.frequency_hz.size > 1
-        self.bode.say_missing("" if there else missing)
-        self.phase.say_missing("" if there else missing)
-        self.coherence.say_missing("" if there else missing)
+        self.plots["bode"].say_missing("" if there else missing)
+        self.plots["phase"].say_missing("" if there else missing)
+        self.plots["coherence"].say_missing("" if there else missing)
         if bode is None or not there:
             return
         frequency = np.log10(bode.frequency_hz)
@@ -326,11 +324,11 @@ class LiveAnalysis(QWidget):
             fitted = view.second_order.sign * view.second_order.system.frequency_response(bode.frequency_hz)
             self._magnitude_fit.setData(frequency, np.log10(MM * np.abs(fitted)))
             self._phase_fit.setData(frequency, np.degrees(np.unwrap(np.angle(fitted))))
-        for card in (self.bode, self.phase, self.coherence):
+        for card in (self.plots["bode"], self.plots["phase"], self.plots["coherence"]):
             card.plot.setXRange(float(frequency[0]), float(frequency[-1]), padding=0.02)
 
     def _show_spectra(self, spectra: LiveSpectra | None, missing: str) -> None:
-        for card in (self.force_spectrum, self.position_spectrum):
+        for card in (self.plots["force_spectrum"], self.plots["position_spectrum"]):
             card.say_missing("" if spectra is not None else missing)
         if spectra is None:
             return
@@ -339,7 +337,7 @@ class LiveAnalysis(QWidget):
             line.setData(frequency, np.log10(np.maximum(density, _LEAST * density.max())))
 
     def _show_curve(self, curve: LiveCurve | None, missing: str) -> None:
-        self.curve.say_missing("" if curve is not None else missing or _(_WAITING))
+        self.plots["curve"].say_missing("" if curve is not None else missing or _(_WAITING))
         if curve is None:
             return
         ends = MM * curve.curve_x[[0, -1]]
@@ -348,7 +346,7 @@ class LiveAnalysis(QWidget):
         self._fitted.setData(MM * curve.curve_x, MM * curve.curve_y)
 
     def _show_course(self, course: LiveCourse, missing: str) -> None:
-        self.course.say_missing("" if course.seconds.size else missing or _(_WAITING))
+        self.plots["course"].say_missing("" if course.seconds.size else missing or _(_WAITING))
         if not course.seconds.size:
             return
         widest = 0.0
@@ -360,8 +358,8 @@ class LiveAnalysis(QWidget):
             _fill(self._course_bands[name], course.seconds, change - spread, change + spread)
             widest = max(widest, float(np.max(np.abs(change) + spread)))
         reach = min(_WIDEST_PERCENT, max(widest, 1.0))
-        self.course.plot.setYRange(-reach, reach, padding=0.02)
-        self.course.plot.setXRange(0.0, max(self._planned_s, float(course.seconds[-1])), padding=0.01)
+        self.plots["course"].plot.setYRange(-reach, reach, padding=0.02)
+        self.plots["course"].plot.setXRange(0.0, max(self._planned_s, float(course.seconds[-1])), padding=0.01)
 
 
 class _Figure(QWidget):

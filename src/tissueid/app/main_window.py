@@ -9,14 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QCoreApplication, QLocale, Qt
-from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence, QShortcut
+from PySide6.QtCore import QCoreApplication, QLocale, Qt, SignalInstance
+from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
 from tissueid.acquisition.playback import Phase
 from tissueid.app import build
 from tissueid.app.calibration_controller import CalibrationController
-from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician, Reports
 from tissueid.app.command_palette import CommandPalette, PaletteEntry, declare, install_shortcuts
 from tissueid.app.context import AppContext, AppServices, AppState
@@ -46,7 +45,7 @@ from tissueid.app.window_state import (
     take_kept,
     text_scale,
 )
-from tissueid.app.words import in_words, outcome_text, sentence
+from tissueid.app.words import calibration_state, in_words, outcome_text, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
 from tissueid.errors import CancelledError, LinkLostError, TissueIDError
@@ -348,7 +347,7 @@ class MainWindow(QMainWindow):
             self.state.session_saved.emit(outcome.path)
         if session is not None and session.tests and not self.state.closing:
             self._show_gate(session.test())
-            self._identify(outcome.path, session, None)
+            self._analyse(functools.partial(find, outcome.path, session, None), self.context.say_failed)
         else:
             self.show_idle()
 
@@ -392,10 +391,7 @@ class MainWindow(QMainWindow):
     def identify(self, path: Path, session: Session | None = None) -> None:
         """Analyse a session and show the page of results."""
         self.pages.show(MEASURE)
-        self._identify(path, session, None)
-
-    def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
-        self._analyse(functools.partial(find, path, session, number), self.context.say_failed)
+        self._analyse(functools.partial(find, path, session, None), self.context.say_failed)
 
     def _analyse(self, work: Callable[[], Findings], failed: Callable[[str], None]) -> None:
         self.ui.guidance.say(_("Identifying the tissue."))
@@ -504,7 +500,8 @@ class MainWindow(QMainWindow):
     def _analyse_other(self, number: int) -> None:
         if self.findings is not None:
             self.ui.analysis.hide()
-            self._identify(self.findings.path, self.findings.session, number)
+            work = functools.partial(find, self.findings.path, self.findings.session, number)
+            self._analyse(work, self.context.say_failed)
 
     def _show_recovered(self, sessions: list[tuple[Path, Session]]) -> None:
         for path, _session in sessions:
@@ -598,37 +595,38 @@ class MainWindow(QMainWindow):
             view.setPalette(palette)
 
     def _connect(self) -> None:
-        ui = self.ui
-        self.state.changed.connect(self._settle)
-        ui.start.clicked.connect(self.start_test)
-        ui.role.changed.connect(self._change_role)
-        ui.gate.again.connect(self._start_again)
-        ui.gate.judge.connect(self._judge)
-        ui.gate.calibration_wanted.connect(self._go_calibrate)
-        ui.form.changed.connect(ui.notice.form_changed)
-        ui.form.changed.connect(self._offer_repeat)
-        ui.form.subject_chosen.connect(self._subject_begins)
-        ui.stop.clicked.connect(self._stop_by_button)
-        ui.halt.clicked.connect(self._stop_by_button)
-        self._keys.pressed.connect(self._stop_by_key)
-        ui.open.clicked.connect(self._choose_session)
-        ui.report.clicked.connect(self.reports.open)
-        ui.result.test_chosen.connect(self._analyse_other)
-        ui.stack.currentChanged.connect(self._page_changed)
-        self.clinician.test_wanted.connect(self._start_again)
-        self.clinician.watcher.start_wanted.connect(self.start_test)
-        self.clinician.findings_wanted.connect(self.show_findings)
-        self.device_search.recovered.connect(self._show_recovered)
-        self.pages.shown.connect(self._page_shown)
-        start = self.pages.start
-        start.language.chosen.connect(self._offer_restart)
-        start.units.chosen.connect(self._take_units)
+        ui, start, clinician = self.ui, self.pages.start, self.clinician
+        wiring: tuple[tuple[SignalInstance, Callable[..., object]], ...] = (
+            (self.state.changed, self._settle),
+            (ui.start.clicked, self.start_test),
+            (ui.role.changed, self._change_role),
+            (ui.gate.again, self._start_again),
+            (ui.gate.judge, self._judge),
+            (ui.gate.calibration_wanted, self._go_calibrate),
+            (ui.form.changed, ui.notice.form_changed),
+            (ui.form.changed, self._offer_repeat),
+            (ui.form.subject_chosen, self._subject_begins),
+            (ui.stop.clicked, self._stop_by_button),
+            (ui.halt.clicked, self._stop_by_button),
+            (self._keys.pressed, self._stop_by_key),
+            (ui.open.clicked, self._choose_session),
+            (ui.report.clicked, self.reports.open),
+            (ui.result.test_chosen, self._analyse_other),
+            (ui.stack.currentChanged, self._page_changed),
+            (clinician.test_wanted, self._start_again),
+            (clinician.watcher.start_wanted, self.start_test),
+            (clinician.findings_wanted, self.show_findings),
+            (self.device_search.recovered, self._show_recovered),
+            (self.pages.shown, self._page_shown),
+            (start.language.chosen, self._offer_restart),
+            (start.units.chosen, self._take_units),
+            (start.find_asked, self.device_search.find_instruments),
+            (start.recovery_asked, self.device_search.recover),
+        )
+        for signal, slot in wiring:
+            signal.connect(slot)
         for chooser in (start.appearance, start.text_size):
             chooser.chosen.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)
-        self.pages.start.find_asked.connect(self.device_search.find_instruments)
-        self.pages.start.recovery_asked.connect(self.device_search.recover)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.
         self._palette_watch.changed.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)
-        stop = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
-        stop.setContext(Qt.ShortcutContext.ApplicationShortcut)
-        stop.activated.connect(self._stop_by_key)
+        build.shortcut(self, "Esc", self._stop_by_key, Qt.ShortcutContext.ApplicationShortcut)

@@ -231,15 +231,7 @@ class OptionField(QWidget):
         return line
 
     def _choice(self, choices: Mapping[Any, str]) -> QComboBox:
-        combo = build.styled(
-            QComboBox(),
-            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-            minimum_contents_length=6,
-        )
-        for choice, label in choices.items():
-            combo.addItem(_(label), choice)
-        combo.currentIndexChanged.connect(self._tell)
-        return combo
+        return build.choice({choice: _(label) for choice, label in choices.items()}, self._tell, 6)
 
     def _make_number(self, kind: type, bounds: Bounds, unit: str, step: float) -> QSpinBox | QDoubleSpinBox:
         spin: QSpinBox | QDoubleSpinBox

@@ -247,19 +247,16 @@ class Panels(QObject):
         features = QDockWidget.DockWidgetFeature
         self.log.setFeatures(features.DockWidgetClosable | features.DockWidgetMovable)
         window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self.log)
-        self.help_button = self._add(self.help, rail.add_foot(_("Help"), HELP_KEY, _("Help for this page")))
-        self.log_button = self._add(self.log, rail.add_foot(_("Log"), LOG_KEY, _("Log of the window")))
+        self.help_button = rail.add_foot(_("Help"), HELP_KEY, _("Help for this page"))
+        self.log_button = rail.add_foot(_("Log"), LOG_KEY, _("Log of the window"))
+        for panel, button in ((self.help, self.help_button), (self.log, self.log_button)):
+            button.clicked.connect(partial(self._toggle, panel))
         self.help.turned.connect(partial(self._follow, self.help, self.help_button))
         self.log.visibilityChanged.connect(partial(self._follow, self.log, self.log_button))
         notice.said.connect(self.log.note)
-        context.jobs.failed.connect(self._note_failure)
+        context.jobs.failed.connect(partial(self.log.note, problem=True))
         self.log.saved.connect(self._tell_saved)
         self.log.note(_("TissueID was started."))
-
-    def _add(self, panel: QWidget, button: QToolButton) -> QToolButton:
-        toggle: Callable[..., None] = partial(self._toggle, panel)
-        button.clicked.connect(toggle)
-        return button
 
     def _toggle(self, panel: QWidget, _checked: bool = False) -> None:
         """Open a panel and give it the keyboard focus, or close it. During a test the focus does not move."""
@@ -282,9 +279,6 @@ class Panels(QObject):
 
     def _follow(self, panel: QWidget, button: QToolButton, _visible: bool) -> None:
         button.setChecked(not panel.isHidden())
-
-    def _note_failure(self, words: str) -> None:
-        self.log.note(words, problem=True)
 
     def _tell_saved(self, words: str, problem: bool) -> None:
         self._notice.say(words, problem=problem)

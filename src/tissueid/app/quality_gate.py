@@ -10,13 +10,12 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import (
     QFrame,
-    QGridLayout,
     QLabel,
     QVBoxLayout,
     QWidget,
 )
 
-from tissueid.app.build import button, fill, label, row, styled
+from tissueid.app.build import button, fill, grid, label, row, styled
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance
 from tissueid.app.views.clinician.sitting import NORM, Sitting
@@ -191,10 +190,7 @@ class QualityGatePanel(QFrame):
             row(*offered, spacing=8),
             spacing=4,
         )
-        self.grid = QGridLayout()
-        styled(self.grid, horizontal_spacing=12, vertical_spacing=2)
-        self.grid.setColumnStretch(0, 1)
-        self.grid.setColumnStretch(1, 1)
+        self.grid = grid(stretched=(0, 1), horizontal_spacing=12, vertical_spacing=2)
         fill(QVBoxLayout(self), top, self.grid, spacing=3, margins=(12, 5, 10, 5))
         self.more.toggled.connect(self._fill)
         self.hide()

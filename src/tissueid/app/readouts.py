@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
+from PySide6.QtWidgets import QFrame, QLabel, QWidget
 
 from tissueid.app import build
 from tissueid.app.live_signals import Safety
@@ -60,16 +60,12 @@ class SafetyReadouts(QFrame):
         self.setProperty("role", "card")
         self._frame, self._free, self._calibrating = 0, True, False
         self.force, self.coil, self.contact, self.keys = (QLabel() for _ in range(4))
-        grid = QGridLayout(self)
-        grid.setContentsMargins(10, 6, 10, 6)
-        build.styled(grid, horizontal_spacing=8, vertical_spacing=1)
+        grid = build.grid(self, margins=(10, 6, 10, 6), horizontal_spacing=8, vertical_spacing=1)
         rows = ((_("Force"), self.force), (_("Coil"), self.coil), (_("Probe"), self.contact))
         for row, (name, value) in enumerate(rows):
-            label = build.styled(QLabel(name), role="field")
-            grid.addWidget(label, row, 0)
+            grid.addWidget(build.styled(QLabel(name), role="field"), row, 0)
             grid.addWidget(value, row, 1)
         grid.addWidget(self.keys, len(rows), 0, 1, 2)
-        grid.setColumnStretch(1, 1)
         self.keys.setWordWrap(True)
         for value in (self.force, self.coil, self.contact, self.keys):
             build.styled(value, role="readout", text_format=Qt.TextFormat.PlainText, minimum_width=1)

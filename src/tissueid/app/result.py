@@ -11,7 +11,6 @@ from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
-    QGridLayout,
     QLabel,
     QScrollArea,
     QVBoxLayout,
@@ -19,7 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app import build
-from tissueid.app.build import button, fill, label, row, styled
+from tissueid.app.build import button, fill, grid, label, offer, row, styled
 from tissueid.app.findings import Findings, Number, whose
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
@@ -84,12 +83,10 @@ class ResultPage(QScrollArea):
         self.setWidget(page)
         self.tiles = [_Tile() for _ in range(_TILES)]
         self.summary = SittingSummary()
-        self._tile_grid = QGridLayout()
-        self._tile_grid.setSpacing(8)
+        self._tile_grid = grid(stretched=(), spacing=8)
         self.readings = label("muted", contents_margins=(12, 0, 8, 0), hidden=True)
         self.comparison = ComparisonCard()
-        self._plot_grid = QGridLayout()
-        self._plot_grid.setSpacing(8)
+        self._plot_grid = grid(stretched=(), spacing=8)
         build.column(
             self._make_verdict(),
             self.summary,
@@ -132,9 +129,9 @@ class ResultPage(QScrollArea):
 
     def offer_repeats(self, files: Sequence[Path], shown: Path) -> None:
         """Offer the tests of a sitting, each of which has its own file."""
+        names = [_("Test {number}: {kind}").format(number=place, kind=file.stem) for place, file in enumerate(files, 1)]
         self.test.clear()
-        for place, file in enumerate(files):
-            self.test.addItem(_("Test {number}: {kind}").format(number=place + 1, kind=file.stem), None)
+        self.test.addItems(names)
         self.test.setCurrentIndex(files.index(shown))
         self.test.show()
 
@@ -237,23 +234,22 @@ class ResultPage(QScrollArea):
             return
         self._columns = columns
         grids = (self._tile_grid, self.tiles), (self._plot_grid, self.cards)
-        for (grid, widgets), across in zip(grids, columns, strict=True):
+        for (layout, widgets), across in zip(grids, columns, strict=True):
             for place, widget in enumerate(widgets):
-                grid.addWidget(widget, place // across, place % across)
+                layout.addWidget(widget, place // across, place % across)
             for column in range(_TILES):
-                grid.setColumnStretch(column, int(column < across))
+                layout.setColumnStretch(column, int(column < across))
             for place in range(len(widgets)):
-                grid.setRowStretch(place, int(place * across < len(widgets)))
+                layout.setRowStretch(place, int(place * across < len(widgets)))
 
     # -- filling ------------------------------------------------------------------------------------------
 
     def _offer_tests(self, tests: tuple[Test, ...], shown: Test) -> None:
-        self.test.clear()
-        for test in tests:
-            self.test.addItem(
-                _("Test {number}: {kind}").format(number=test.number, kind=test.kind.replace("_", " ")), test.number
-            )
-        self.test.setCurrentIndex(self.test.findData(shown.number))
+        kinds = {test.number: test.kind.replace("_", " ") for test in tests}
+        words = _("Test {number}: {kind}")
+        offer(
+            self.test, {number: words.format(number=number, kind=kind) for number, kind in kinds.items()}, shown.number
+        )
         self.test.setVisible(len(tests) > 1)
 
     def _choose_test(self) -> None:
@@ -350,22 +346,20 @@ class SittingSummary(QFrame):
         self._standing: Standing | None = None
         self.heading, self.about = styled(QLabel(), role="headline"), label("muted")
         self._heads: list[QLabel] = []
-        grid = QGridLayout()
-        styled(grid, horizontal_spacing=22, vertical_spacing=2)
+        table = grid(stretched=(len(HEADS),), horizontal_spacing=22, vertical_spacing=2)
         for column, head in enumerate(HEADS):
             named = styled(QLabel(_(head)), role="field", minimum_width=1)
             self._heads.append(named)
-            grid.addWidget(named, 0, column)
+            table.addWidget(named, 0, column)
         self.cells: dict[str, list[QLabel]] = {}
         for place, quantity in enumerate(QUANTITIES, 1):
             cells = [QLabel() for _head in HEADS]
             cells[1].setStyleSheet("font-weight: 600;")
             for column, cell in enumerate(cells):
                 cell.setTextFormat(Qt.TextFormat.PlainText)
-                grid.addWidget(cell, place, column)
+                table.addWidget(cell, place, column)
             self.cells[quantity] = cells
-        grid.setColumnStretch(len(HEADS), 1)
-        fill(QVBoxLayout(self), self.heading, grid, self.about, spacing=3, margins=(12, 6, 12, 8))
+        fill(QVBoxLayout(self), self.heading, table, self.about, spacing=3, margins=(12, 6, 12, 8))
         self.hide()
 
     def show_standing(self, standing: Standing | None) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, Signal
-from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QWidget
+from PySide6.QtWidgets import QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QWidget
 
 from tissueid.app import build
 from tissueid.app.context import AppContext
@@ -93,12 +93,8 @@ def _field(kind: DemographicField, known: str) -> tuple[QWidget, Callable[[], st
             number.give(None)
         return number, lambda: "" if number.given is None else f"{number.given:.10g}"
     if kind.choices:
-        choice = QComboBox()
-        choice.addItem(_("not known"), "")
-        for value in kind.choices:
-            choice.addItem(_(value), value)
-        if known and choice.findData(known) < 0:
-            choice.addItem(known, known)
+        entries = {"": _("not known")} | {value: _(value) for value in kind.choices}
+        choice = build.choice(entries if known in entries else entries | {known: known})
         choice.setCurrentIndex(choice.findData(known))
         return choice, lambda: str(choice.currentData())
     text = build.styled(QLineEdit(known), max_length=200)

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 from PySide6.QtCore import QByteArray, QLibraryInfo, QLocale, QSettings, QSize, Qt, QTranslator, Signal
 from PySide6.QtGui import QPalette, QResizeEvent
-from PySide6.QtWidgets import QComboBox, QLabel, QMainWindow, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLabel, QMainWindow, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app import build
 from tissueid.app.form import PlanForm
@@ -57,16 +57,20 @@ def save_window_state(
     window: QMainWindow, form: PlanForm, help_panel: QWidget, page: str, role: Role, settings: QSettings
 ) -> None:
     """Save the window state. Write errors are ignored."""
-    settings.setValue(_GEOMETRY, window.saveGeometry())
-    settings.setValue(_MAXIMISED, "yes" if window.isMaximized() else "no")
-    settings.setValue(_PANELS, window.saveState(_VERSION))
-    settings.setValue(_HELP, "no" if help_panel.isHidden() else "yes")
-    settings.setValue(_PAGE, page)
-    settings.setValue(_ROLE, role)
-    settings.setValue(_FOLD, "yes" if form.fold.isChecked() else "no")
-    settings.setValue(_INSTRUMENT, form.instrument.url)
-    settings.setValue(_LIMITS, form.limits.currentData())
-    settings.setValue(_LIVE_METHOD, form.stimulus.live_method.currentData())
+    values = {
+        _GEOMETRY: window.saveGeometry(),
+        _MAXIMISED: "yes" if window.isMaximized() else "no",
+        _PANELS: window.saveState(_VERSION),
+        _HELP: "no" if help_panel.isHidden() else "yes",
+        _PAGE: page,
+        _ROLE: role,
+        _FOLD: "yes" if form.fold.isChecked() else "no",
+        _INSTRUMENT: form.instrument.url,
+        _LIMITS: form.limits.currentData(),
+        _LIVE_METHOD: form.stimulus.live_method.currentData(),
+    }
+    for key, value in values.items():
+        settings.setValue(key, value)
 
 
 def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidget, settings: QSettings) -> None:
@@ -205,11 +209,8 @@ class Chooser(QWidget):
         super().__init__()
         self._settings, self._key = settings, key
         self.name = name
-        self.choice = QComboBox()
-        for value, words in entries.items():
-            self.choice.addItem(words, value)
+        self.choice = build.choice(entries, name=name)
         self.choice.setCurrentIndex(max(0, self.choice.findData(now)))
-        self.choice.setAccessibleName(name)
         labelled_row(self, name, self.choice)
         self.choice.currentIndexChanged.connect(self._keep)
 
@@ -253,11 +254,9 @@ class RoleChooser(QWidget):
     def __init__(self, role: Role, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._role: Role = role
-        self.choice = build.styled(
-            QComboBox(), name=_("Role"), tip=_("Actions are logged in this role; a technician can calibrate")
-        )
-        for name in ROLES:
-            self.choice.addItem(_(ROLE_NAMES[name]), name)
+        roles = {name: _(ROLE_NAMES[name]) for name in ROLES}
+        tip = _("Actions are logged in this role; a technician can calibrate")
+        self.choice = build.choice(roles, name=_("Role"), tip=tip)
         self.choice.setCurrentIndex(self.choice.findData(role))
         labelled_row(self, _("Role"), self.choice, role="muted", spacing=6)
         self.choice.currentIndexChanged.connect(self._change)

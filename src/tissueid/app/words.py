@@ -1,21 +1,31 @@
-"""Errors, the end of a test and other texts as sentences for the window."""
+"""Errors, the end of a test, the state of a calibration and other texts of the window."""
 
 from __future__ import annotations
 
 import traceback
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from typing import TYPE_CHECKING
 
 from platformdirs import user_log_path
 
 from tissueid.acquisition.journal import JournalError, journal_path
 from tissueid.atomic_write import private_folder, write_private
+from tissueid.calibration.active import calibration_summary, warnings_of
+from tissueid.calibration.file import CalibratedQuantity
+from tissueid.calibration.status import readable
+from tissueid.device import DeviceDescription
 from tissueid.errors import TissueIDError
+from tissueid.formatting import plus_minus
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.records import Estimate
+from tissueid.units import shown
 
 if TYPE_CHECKING:
     from tissueid.procedures.test_run import TestOutcome
+
 
 RESEARCH_USE = marked("Research use only. Not a medical device.")
 
@@ -101,3 +111,39 @@ def _cause(error: Exception) -> str:
     """Return the cause of a failure; the recovery advice of a journal is meant for the command line."""
     cause = error.__cause__ if isinstance(error, JournalError) else None
     return in_words(cause if isinstance(cause, Exception) else error)
+
+
+UNKNOWN = marked("Calibration: not known yet")
+
+
+@dataclass(frozen=True)
+class CalibrationState:
+    """State in one line, ``level`` of its colour ("good", "check", or "" if not known), and ``warnings``.
+
+    ``until`` is the date of the next calibration, "" if it is not known.
+    """
+
+    words: str = UNKNOWN
+    level: str = ""
+    warnings: tuple[str, ...] = ()
+    until: str = ""
+
+
+def calibration_state(device: DeviceDescription, now: datetime | None = None) -> CalibrationState:
+    """Return the state of a device's calibration; ``now`` is timezone-aware."""
+    good = device.calibration.get("state") == "valid"
+    warnings = tuple(sentence(translated(line)) for line in warnings_of(device))
+    words = sentence(translated(calibration_summary(device, now))).removesuffix(".")
+    until = str(device.calibration.get("valid_until", ""))
+    return CalibrationState(words, "good" if good else "check", warnings, until)
+
+
+def figure_of(name: str, found: CalibratedQuantity) -> tuple[str, str, str]:
+    """Return label, value with its deviation, and unit."""
+    label, value, unit = readable(name, found)
+    label = translated(label)
+    said, factor = shown(unit)
+    if factor == 1.0:
+        return label, value, said
+    # What is converted is shown without a prefix, and that is how a calibration keeps it.
+    return label, plus_minus(Estimate(found.value, found.std)), said

@@ -16,11 +16,11 @@ from PySide6.QtGui import QGuiApplication
 
 from tissueid.acquisition import journal_path
 from tissueid.acquisition.quality import HEADLINES, judge_session, quality_of
-from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.panels import FOLDER, HELP_KEY, MOST_LINES
 from tissueid.app.views.researcher.session_search import entry_of
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
 from tissueid.app.views.start.view import brief
+from tissueid.app.words import CalibrationState
 from tissueid.cli.test import answer_of
 from tissueid.instrument import FoundInstrument
 from tissueid.reports.verdict import judge

@@ -15,7 +15,6 @@ from PySide6.QtWidgets import (
     QAbstractItemView,
     QBoxLayout,
     QFrame,
-    QGridLayout,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -29,14 +28,13 @@ from PySide6.QtWidgets import (
 
 from tissueid.app import build
 from tissueid.app.build import button, fill, for_reading, label, row, styled, timer
-from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.context import AppContext, View
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance
 from tissueid.app.views.start.recent import FolderLook, KnownFiles, Recent, look_into, storage_locations
 from tissueid.app.widgets import ElidedLabel
 from tissueid.app.window_state import RoleCard, choosers, visited_studies
-from tissueid.app.words import RESEARCH_USE
+from tissueid.app.words import RESEARCH_USE, CalibrationState
 from tissueid.audit import Role
 from tissueid.formatting import clean
 from tissueid.language import _, marked, plural
@@ -484,22 +482,16 @@ class StartView(View):
 
     def _make_foot(self) -> QWidget:
         foot = styled(QFrame(), role="card")
-        grid = QGridLayout(foot)
-        grid.setContentsMargins(14, 8, 10, 8)
-        styled(grid, horizontal_spacing=14, vertical_spacing=2)
+        grid = build.grid(foot, stretched=(1, 3), margins=(14, 8, 10, 8), horizontal_spacing=14, vertical_spacing=2)
         said = label(text=f"{_(RESEARCH_USE)} {_('Nothing leaves this computer.')} {_(HINT)}")
         grid.addWidget(said, 0, 0, 1, 4)
         grid.addWidget(self.folder, 0, 4)
         for place, (what, where) in enumerate(storage_locations(self.context.services, self.context.settings)):
-            named, path = styled(QLabel(what), role="field"), label("readout")
-            path.setText(clean(where))
-            path.setToolTip(clean(where))
+            named, path = styled(QLabel(what), role="field"), label("readout", clean(where), tip=clean(where))
             grid.addWidget(named, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
             grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
         pairs = [row(*pair, None, spacing=24, margins=(0, 0, 16, 0)) for pair in (self.choosers[:2], self.choosers[2:])]
         grid.addLayout(fill(FoldingBox(_ONE_ROW), pairs[0], (pairs[1], 1), spacing=8), 4, 0, 1, 5)
-        grid.setColumnStretch(1, 1)
-        grid.setColumnStretch(3, 1)
         return foot
 
 

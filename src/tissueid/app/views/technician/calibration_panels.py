@@ -12,12 +12,11 @@ from PySide6.QtWidgets import QComboBox, QFrame, QLabel, QWidget
 
 from tissueid.analysis.curves.calibration_plots import ALONG_STROKE, residual_plot, stroke_plot, trend_plot
 from tissueid.app import build
-from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import appearance
 from tissueid.app.views.technician.tab import PiecesModel, table_of
 from tissueid.app.widgets import plain_tip, show_level
-from tissueid.app.words import sentence
+from tissueid.app.words import figure_of, sentence
 from tissueid.calibration.comparison import (
     SIGNIFICANT_STD,
     CalibrationComparison,

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tissueid.app.calibration_state import calibration_state
 from tissueid.app.views.technician.events import Event, LogPage, read_events, read_log
-from tissueid.app.words import sentence
+from tissueid.app.words import calibration_state, sentence
 from tissueid.calibration.status import Stored, calibration_folder, stored_calibrations
 from tissueid.errors import CancelledError, TissueIDError
 from tissueid.formatting import fixed, grouped

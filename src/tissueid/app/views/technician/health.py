@@ -12,7 +12,6 @@ from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QFrame, QWidget
 
 from tissueid.app import build
-from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.plotting import PlotCard
@@ -21,6 +20,7 @@ from tissueid.app.views.technician.checkup import Background, LastTest, Light, b
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.tab import FactsCard, Tab
 from tissueid.app.widgets import plain_tip, show_level
+from tissueid.app.words import calibration_state
 from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.file import Calibration
 from tissueid.formatting import clean, figure_text, fixed, grouped, number
