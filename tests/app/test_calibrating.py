@@ -71,14 +71,37 @@ def test_a_static_calibration_leaves_a_valid_file_a_report_and_is_in_force_after
 ):
     shown = []
     window = technicians(opener=lambda _: spring(), show_file=lambda path: shown.append(path) or True)
+    ui = window.ui
+    for_a_test = ui.guidance.instruction.text()
     page = page_of(window)
+    warning = ui.guidance.instruction.text()
+    assert warning != for_a_test  # never "place the probe on the skin" above a coil that is about to move a spring
+    assert not ui.guidance.lamp.isVisible()
     page.room_known.setChecked(True)
     page.room.setValue(24.0)
+    seen = {}
+
+    def look(x, _):
+        seen["points"] = max(seen.get("points", 0), x.size)
+        seen["probe"], seen["force"] = ui.safety.contact.text(), ui.safety.force.text()
+        drawn = ui.signals.curves["force"].getData()[0]
+        seen["drawn"] = 0 if drawn is None else drawn.size
+
+    page.show_curve, show = look, page.show_curve
     press(qtbot, page.begin["static"])
     assert window.testing
-    assert window.ui.stop.hasFocus()
+    assert ui.stop.hasFocus()
     assert not page.begin["sweep"].isEnabled()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    page.show_curve = show
+    assert seen["points"] > 5
+    assert seen["probe"].endswith("mm")
+    assert seen["force"].endswith("N of 12 N")
+    assert seen["drawn"] > 100
+    assert ui.guidance.instruction.text() == warning
+    ui.pages.setCurrentWidget(ui.running)
+    assert ui.guidance.instruction.text() == for_a_test
+    ui.pages.setCurrentWidget(ui.calibration)
     assert reads(
         page.headline.text(),
         "calibration.headline",
@@ -104,38 +127,10 @@ def test_a_static_calibration_leaves_a_valid_file_a_report_and_is_in_force_after
     assert logged(audit_file) == [("technician", "calibration.begun"), ("technician", "calibration.made")]
 
 
-def test_a_calibration_has_its_own_warning_and_shows_what_it_measures(qtbot, technicians):
-    """Never "place the probe on the skin" above a coil that is about to move a spring."""
-    window = technicians(opener=lambda _: spring())
-    ui = window.ui
-    for_a_test = ui.guidance.instruction.text()
-    page = page_of(window)
-    warning = ui.guidance.instruction.text()
-    assert warning != for_a_test
-    assert not ui.guidance.lamp.isVisible()
-    seen = {}
-
-    def look(x, _):
-        seen["points"] = max(seen.get("points", 0), x.size)
-        seen["probe"] = ui.safety.contact.text()
-        seen["force"] = ui.safety.force.text()
-        drawn = ui.signals.curves["force"].getData()[0]
-        seen["drawn"] = 0 if drawn is None else drawn.size
-
-    page.show_curve, show = look, page.show_curve
-    press(qtbot, page.begin["static"])
-    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    page.show_curve = show
-    assert seen["points"] > 5
-    assert seen["probe"].endswith("mm")
-    assert seen["force"].endswith("N of 12 N")
-    assert seen["drawn"] > 100
-    assert ui.guidance.instruction.text() == warning
-    ui.pages.setCurrentWidget(ui.running)
-    assert ui.guidance.instruction.text() == for_a_test
-
-
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("a figure of nothing")])
+@pytest.mark.parametrize(
+    "error",
+    [OSError(28, "No space left on device"), pytest.param(ValueError("a figure of nothing"), marks=pytest.mark.soak)],
+)
 def test_a_calibration_whose_report_cannot_be_written_is_not_called_failed(
     qtbot, technicians, calibrations, audit_file, monkeypatch, error
 ):
@@ -285,6 +280,7 @@ def test_files_of_calibrations_are_never_written_over(tmp_path):
     assert free_name(tmp_path, "../TWIN 0", "static", moment).name == "TWIN-0-static-2026-03-04_05-06-07_2.toml"
 
 
+@pytest.mark.soak
 def test_the_figures_and_the_verdict_of_a_calibration_are_said_in_german(qtbot, technicians):
     window = technicians(language="de", opener=lambda _: spring())
     page = page_of(window)

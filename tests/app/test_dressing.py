@@ -58,6 +58,7 @@ def test_what_is_too_long_all_the_same_is_wrapped_and_not_cut(qtbot):
     assert table.rowHeight(0) <= 4 * table.fontMetrics().height()
 
 
+@pytest.mark.soak
 def test_health_on_the_first_page_is_not_cut(qtbot, open_window):
     def finder(**_):
         return [FoundInstrument("simulated://forearm", "simulation in this process", True), *found(probe=False)[1:]]
@@ -70,6 +71,7 @@ def test_health_on_the_first_page_is_not_cut(qtbot, open_window):
         assert table.columnWidth(1) >= table.sizeHintForColumn(1)
 
 
+@pytest.mark.soak
 def test_gate_and_verdict_have_german_headlines(qtbot, open_window):
     window = open_window(language="de")
     type_site(qtbot, window)
@@ -103,6 +105,7 @@ def test_fields_that_come_late_have_the_colours_of_the_page(qtbot, open_window, 
     assert {spin.palette().color(QPalette.ColorRole.Base).name() for spin in spins} == {DARK.field}
 
 
+@pytest.mark.soak
 def test_the_german_pages_need_no_more_room_than_there_is(qtbot, open_window):
     window = open_window(language="de", first_page="gap")
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
@@ -111,6 +114,7 @@ def test_the_german_pages_need_no_more_room_than_there_is(qtbot, open_window):
     assert result.horizontalScrollBarPolicy() == Qt.ScrollBarPolicy.ScrollBarAsNeeded
 
 
+@pytest.mark.soak
 def test_both_kinds_of_calibration_stand_side_by_side(open_window):
     window = open_window(role="technician", language="de")
     window.ui.pages.setCurrentWidget(window.ui.calibration)

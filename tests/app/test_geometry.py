@@ -438,6 +438,20 @@ def in_state(qtbot, opened, request):
     return make
 
 
+QUICK_STATES = (
+    "idle on start",
+    "idle on measure:signals",
+    "idle on measure:result",
+    "idle on measure:sitting",
+    "idle on research:0",
+    "idle on gap:",
+    "idle on instrument:0",
+    "idle on studies:tests",
+    "testing on measure",
+    "testing on research",
+    "calibrating-by-hand on measure",
+)
+"""States that are looked at in every run: each page once, and those in which a coil can be energised."""
 STATES = [
     "idle on start",
     "idle on measure:signals",
@@ -470,7 +484,9 @@ STATES = [
 ]
 
 
-@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize(
+    "state", [state if state in QUICK_STATES else pytest.param(state, marks=pytest.mark.soak) for state in STATES]
+)
 @pytest.mark.parametrize("language", LANGUAGES)
 @SIZES_IN_TURN
 def test_everything_fits_or_scrolls_at_every_size(in_state, language, state, sizes):
@@ -489,6 +505,7 @@ def test_everything_fits_or_scrolls_at_every_size(in_state, language, state, siz
             raise AssertionError(f"at {size}: {error}") from None
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_all_live_plots_fit_or_scroll_at_every_size(in_state, language):
     window = in_state(language, "testing on measure")
@@ -543,8 +560,8 @@ def import_dialog(qtbot, tmp_path):
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("described", [False, True])
-@pytest.mark.parametrize("said", ["", LONG])
+@pytest.mark.parametrize("described", [False, pytest.param(True, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("said", [pytest.param("", marks=pytest.mark.soak), LONG])
 def test_the_import_dialog_fits_every_screen(import_dialog, language, described, said):
     set_language(language)
     dialog = import_dialog(described)
@@ -571,6 +588,7 @@ def test_units_are_not_cut_in_the_import_dialog(import_dialog):
     assert line.width() >= line.fontMetrics().horizontalAdvance("minutes")
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("state", ["idle on measure:signals", "calibrating-by-hand on measure"])
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_the_command_palette_fits_and_follows_the_window(in_state, language, state):
@@ -589,7 +607,7 @@ def test_the_command_palette_fits_and_follows_the_window(in_state, language, sta
     assert palette.isHidden()
 
 
-@pytest.mark.parametrize("page", ["measure", "research"])
+@pytest.mark.parametrize("page", ["measure", pytest.param("research", marks=pytest.mark.soak)])
 def test_help_in_a_narrow_window_takes_the_place_of_the_page_and_gives_it_back(in_state, page):
     window = in_state("en", f"idle on {page}:help")
     window.resize(*SMALLEST)
@@ -623,6 +641,7 @@ def numbers_at(axis):
     return [text for place, _, text in texts if axis.boundingRect().intersects(place)]
 
 
+@pytest.mark.soak
 def test_the_curve_of_a_calibration_has_numbers_on_both_axes(in_state):
     window = in_state("en", "calibrating-with-stage on measure")
     window.resize(1280, 720)
@@ -639,8 +658,17 @@ def places(window):
     return {widget: QRect(widget.mapTo(window, QPoint(0, 0)), widget.size()) for widget in shown(window, CONTROLS)}
 
 
-@pytest.mark.parametrize("state", ["idle on start", "idle on measure:signals", "idle on gap:", "testing on research"])
-@pytest.mark.parametrize("size", [SMALLEST, (1280, 720)])
+@pytest.mark.parametrize(
+    "state",
+    [
+        "idle on measure:signals",
+        *(
+            pytest.param(state, marks=pytest.mark.soak)
+            for state in ("idle on start", "idle on gap:", "testing on research")
+        ),
+    ],
+)
+@pytest.mark.parametrize("size", [SMALLEST, pytest.param((1280, 720), marks=pytest.mark.soak)])
 def test_nothing_moves_when_a_notice_comes_or_goes(in_state, state, size):
     window = in_state("en", state)
     window.resize(*size)
@@ -664,7 +692,7 @@ def test_nothing_moves_when_a_notice_comes_or_goes(in_state, state, size):
     assert places(window) == before
 
 
-@pytest.mark.parametrize("text", ["It is saved.", LONG])
+@pytest.mark.parametrize("text", [pytest.param("It is saved.", marks=pytest.mark.soak), LONG])
 def test_a_notice_of_two_lines_covers_nothing(in_state, text):
     window = in_state("en", "idle on measure:signals")
     window.resize(1093, 614 - FRAME)

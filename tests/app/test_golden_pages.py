@@ -8,7 +8,9 @@ from golden.golden_page import check_golden_page, lines_of_widget
 from tissueid.language import set_language
 
 
-@pytest.mark.parametrize(("language", "role"), [("en", "clinician"), ("de", "researcher")])
+@pytest.mark.parametrize(
+    ("language", "role"), [pytest.param("en", "clinician", marks=pytest.mark.soak), ("de", "researcher")]
+)
 def test_the_page_measure_reads_as_its_golden_page(qtbot, open_window, saved, language, role):
     """Renew the pages by ``python tests/golden/renew.py``."""
     try:

@@ -126,6 +126,7 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
 # -- the researcher ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.soak
 def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_start, saved, tmp_path):
     before = saved.read_bytes()
     window = from_start("researcher", folder=saved.parent)
@@ -193,6 +194,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
 # -- the technician ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.soak
 def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibrations, audit_file, monkeypatch):
     monkeypatch.setattr(plans, "STEPS", ("electrical", "temperature"))
     window = from_start(
@@ -260,6 +262,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
 # -- the gap ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.soak
 def test_from_a_session_to_a_twin_that_is_measured(qtbot, from_start, tmp_path, audit_file, monkeypatch):
     everything = shelf.all_effects()
     few = {name: everything[name] for name in ("dry_friction", "directional_damping")}

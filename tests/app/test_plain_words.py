@@ -73,7 +73,10 @@ def test_what_does_not(text):
     assert not reads_like_name(text)
 
 
-@pytest.mark.parametrize(("language", "words"), [("en", "looks like a person's name"), ("de", "Name eines Menschen")])
+@pytest.mark.parametrize(
+    ("language", "words"),
+    [pytest.param("en", "looks like a person's name", marks=pytest.mark.soak), ("de", "Name eines Menschen")],
+)
 def test_a_name_is_refused_until_a_person_says_that_it_is_a_pseudonym(open_window, language, words):
     form = open_window(language=language).ui.form
     assert form.like_name.isHidden()
@@ -98,7 +101,10 @@ def test_a_name_is_refused_until_a_person_says_that_it_is_a_pseudonym(open_windo
 
 @pytest.mark.parametrize(
     ("language", "pdf", "page"),
-    [("en", "No program here shows a PDF", "open it in a browser"), ("de", "Kein Programm hier zeigt PDF", "Browser")],
+    [
+        pytest.param("en", "No program here shows a PDF", "open it in a browser", marks=pytest.mark.soak),
+        ("de", "Kein Programm hier zeigt PDF", "Browser"),
+    ],
 )
 def test_a_report_that_nothing_opens_says_where_it_is(qtbot, shown_result, saved, language, pdf, page):
     asked = []

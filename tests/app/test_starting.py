@@ -36,7 +36,7 @@ def one_line(answer):
     return answer.stderr
 
 
-@pytest.mark.parametrize("missing", ["PySide6", "pyqtgraph"])
+@pytest.mark.parametrize("missing", ["PySide6", pytest.param("pyqtgraph", marks=pytest.mark.soak)])
 def test_without_qt_it_says_what_to_install(missing):
     line = one_line(start(f"sys.modules['{missing}'] = None", QT_QPA_PLATFORM="offscreen"))
     assert "make env" in line
@@ -93,7 +93,7 @@ def test_the_script_installs_what_the_message_names():
     assert packages.split() == SYSTEM_PACKAGES.split()
 
 
-@pytest.mark.parametrize("how", ["close", "SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("how", ["close", pytest.param("SIGINT", marks=pytest.mark.soak), "SIGTERM"])
 def test_the_application_ends_cleanly(tmp_path, how):
     ending = "window.close()" if how == "close" else f"os.kill(os.getpid(), signal.{how})"
     code = f"""
