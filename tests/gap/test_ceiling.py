@@ -1,40 +1,16 @@
 """The upper bound of the closed share: functions of the command can be closed, hidden disturbances cannot."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
 from tissueid.gap.closed_share import ceiling
 from tissueid.gap.dataset import DatasetTest, Purpose
-from tissueid.gap.decision import ChannelError
+from tissueid.gap.decision import Candidate, ChannelError
 
 RATE = 2000.0
 SAMPLES = 8000
-
-
-@dataclass
-class Stub:
-    """The parts of a fitted baseline that the ceiling uses."""
-
-    dataset: object
-    predictions: list = field(default_factory=list)
-
-    @property
-    def parameters(self):
-        return self
-
-
-@dataclass
-class Watched:
-    tests: tuple
-    channels: tuple = ("position",)
-
-
-@dataclass
-class Baseline:
-    fit: Stub
-    checked_by: tuple
-    quiet: tuple = ()
 
 
 def baseline(left, noise=1e-6, seed=2):
@@ -47,7 +23,9 @@ def baseline(left, noise=1e-6, seed=2):
     check = purpose == Purpose.CHECK
     square = float(np.mean((recorded - predicted)[check] ** 2))
     error = ChannelError(1, "position", square, noise, float(recorded.std()), int(check.sum()))
-    return Baseline(Stub(Watched((test,)), [{"position": predicted}]), (error,))
+    parameters = SimpleNamespace(dataset=SimpleNamespace(tests=(test,), channels=("position",)))
+    fitted = SimpleNamespace(parameters=parameters, predictions=[{"position": predicted}])
+    return Candidate((), fitted, (), (error,))
 
 
 def test_the_ceiling_includes_functions_of_the_motion():

@@ -5,33 +5,18 @@ from functools import cache
 
 import numpy as np
 import pytest
+from gap_records import RATE_HZ, observed
 
-from firmware_sim.effects import LISTED
-from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
-from tissueid.device import DeviceDescription
 from tissueid.gap.decision import score_candidate
 from tissueid.gap.error_regions import ErrorProfile
 from tissueid.gap.fitting import fit
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.noise import lost_samples, mains_lines, quiet_motion
-from tissueid.gap.preparation import prepare
 from tissueid.gap.stage_substitution import DRIVE, MOVING, TISSUE, motion, propagated_noise, simulate_stage
-from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGES
 
 SAMPLES = 4000
-RATE_HZ = 2000.0
-
-
-@cache
-def observed(name: str, seed: int):
-    others = tuple(item for item in LISTED if item != name)
-    scenario = draw_scenario(seed, effects=1 if name else 0, without=others if name else ())
-    recording = scenario.record()[0]
-    signals = {key: getattr(recording, key)[:SAMPLES] for key in ("time", "command", "voltage", "current", "position")}
-    test = Test(1, "stochastic", signals, RATE_HZ, preload_s=0.5, surface_position_m=recording.surface_m)
-    return prepare(Session(DeviceDescription(**NOMINAL), tests=(test,)))
 
 
 @cache

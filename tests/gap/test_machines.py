@@ -38,10 +38,17 @@ NAN = float("nan")
 UNKNOWN = unknown_device()
 
 
+def session(*records):
+    tests = []
+    for number, record in enumerate(records, start=1):
+        signals = dict(zip(record.names, (record.input, record.output), strict=True))
+        units = dict(zip(record.names, record.units, strict=True))
+        tests.append(Test(number, "stochastic", signals, record.sample_rate_hz, units=units))
+    return Session(UNKNOWN, tests=tuple(tests))
+
+
 def dataset(record):
-    signals = dict(zip(record.names, (record.input, record.output), strict=True))
-    units = dict(zip(record.names, record.units, strict=True))
-    return prepare(Session(UNKNOWN, tests=(Test(1, "stochastic", signals, record.sample_rate_hz, units=units),)))
+    return prepare(session(record))
 
 
 def diagnosed(record, *names):
@@ -159,21 +166,7 @@ def test_windows_start_from_the_recorded_motion():
 
 def test_the_start_of_a_whole_test_is_no_evidence():
     axis = ServoAxis(sample_rate_hz=250.0)
-    records = [servo_axis(seed, 8.0, axis) for seed in (1, 2)]
-    session = Session(
-        UNKNOWN,
-        tests=tuple(
-            Test(
-                number,
-                "stochastic",
-                dict(zip(record.names, (record.input, record.output), strict=True)),
-                record.sample_rate_hz,
-                units=dict(zip(record.names, record.units, strict=True)),
-            )
-            for number, record in enumerate(records, start=1)
-        ),
-    )
-    chosen = with_best_family(prepare(session, (1,), (2,)))
+    chosen = with_best_family(prepare(session(*(servo_axis(seed, 8.0, axis) for seed in (1, 2))), (1,), (2,)))
     for test, purposes in zip(chosen.tests, ({Purpose.FIT}, {Purpose.CHOICE, Purpose.CHECK}), strict=True):
         begin = restarts(test, chosen.equivalent)[1]
         assert begin > 10

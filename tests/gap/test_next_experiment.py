@@ -5,39 +5,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from gap_records import RATE_HZ, with_friction
 
-from tissueid.device import DeviceDescription
 from tissueid.gap.decision import score_candidate
 from tissueid.gap.fitting import fit
 from tissueid.gap.next_experiment import NextExperiment, candidate_tests, next_experiment, settings_of
-from tissueid.gap.preparation import prepare
-from tissueid.sessions import Session, Test
 from tissueid.stimuli import get_stimulus
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
-from tissueid.twin.simulation import ActiveEffect, Start, simulate
-
-RATE = 2000.0
-SURFACE = 0.010
 
 
 @pytest.fixture(scope="module")
 def observed():
-    random = np.random.default_rng(5)
-    smooth = np.convolve(random.uniform(-1, 1, 4000), np.ones(5) / 5, "same")
-    command = 14.0 + 14.0 * smooth
-    acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.0, 1.0]))]
-    instrument, start = InstrumentParameters(weight_n=0.0), Start(14.0 / 12.0, SURFACE)
-    read = simulate(command, RATE, instrument, Tissue(SURFACE), start, acting).readings
-    noise = random.standard_normal((3, command.size))
-    signals = {
-        "command": command,
-        "voltage": read.voltage + 2e-3 * noise[0],
-        "current": read.current + 1e-3 * noise[1],
-        "position": read.position + 2e-6 * noise[2],
-    }
-    test = Test(1, "stochastic", signals, RATE, surface_position_m=SURFACE)
-    return prepare(Session(DeviceDescription(), tests=(test,)))
+    return with_friction(4000)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +59,7 @@ def test_the_command_of_a_candidate_test_runs_it(observed):
         assert words[:2] == ["tissueid", "test"]
         given = dict(pairwise(words))
         newtons = item.test.command / device.voltage_for_force(1.0)
-        assert float(given["--seconds"]) == pytest.approx(newtons.size / RATE, abs=0.051)
+        assert float(given["--seconds"]) == pytest.approx(newtons.size / RATE_HZ, abs=0.051)
         assert given.get("--kind") == (item.kind if item.kind in ("spring", "free_air") else None)
         if item.kind == "quiet":
             assert "--max-force" not in given
@@ -89,7 +68,7 @@ def test_the_command_of_a_candidate_test_runs_it(observed):
         low, high = float(given["--min-force"]), float(given["--max-force"])
         assert (low, high) == pytest.approx((newtons.min(), newtons.max()), abs=0.051)
         if "--stimulus" in given:
-            options = {"force_min_n": newtons.min(), "force_max_n": newtons.max(), "seconds": newtons.size / RATE}
+            options = {"force_min_n": newtons.min(), "force_max_n": newtons.max(), "seconds": newtons.size / RATE_HZ}
             played = get_stimulus(given["--stimulus"]).from_options(options).build()
             np.testing.assert_allclose(played.values, newtons, atol=1e-9)
         else:

@@ -7,46 +7,27 @@ import numpy as np
 import pytest
 import tomli_w
 from coded import coded, holding
+from gap_records import with_friction
 
-from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap import diagnosis
 from tissueid.gap.decision import floor, score_candidate
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
-from tissueid.gap.preparation import prepare
 from tissueid.gap.twin_export import against_twin, check_same_instrument, twin_file_of, with_prior_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import MOST_BYTES
 from tissueid.messages import code_of
-from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
-from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
-RATE = 2000.0
-SURFACE = 0.010
 NOW = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
 def observed():
-    random = np.random.default_rng(5)
-    command = 14.0 + 14.0 * np.convolve(random.uniform(-1, 1, 3000), np.ones(5) / 5, "same")
-    acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.0, 1.0]))]
-    device = InstrumentParameters(weight_n=0.2, resistance_ohm=12.2)
-    read = simulate(command, RATE, device, Tissue(SURFACE), Start(14.0 / 12.2, SURFACE), acting).readings
-    noise = random.standard_normal((3, command.size))
-    signals = {
-        "command": command,
-        "voltage": read.voltage + 2e-3 * noise[0],
-        "current": read.current + 1e-3 * noise[1],
-        "position": read.position + 2e-6 * noise[2],
-    }
-    test = Test(1, "stochastic", signals, RATE, surface_position_m=SURFACE)
-    return prepare(Session(DeviceDescription(), tests=(test,)))
+    return with_friction(3000, weight_n=0.2, resistance_ohm=12.2)
 
 
 @pytest.fixture(scope="module")
