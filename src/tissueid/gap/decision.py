@@ -117,7 +117,7 @@ def fitted_score(fitted: Fit, residuals: FloatArray) -> float:
     """Return the score of residuals on the fitted samples, shape as ``Fit.residuals``."""
     blocks = residual_blocks(fitted)
     tests = len(blocks) / len(fitted.parameters.dataset.channels)
-    squares = (float(np.mean(residuals[block] ** 2)) for block in blocks)
+    squares = (float(np.mean(residuals[block] ** 2)) for _, block in blocks)
     return float(sum(0.5 * np.log(max(square, LEAST_RATIO)) for square in squares)) / max(tests, 1.0)
 
 

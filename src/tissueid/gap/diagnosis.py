@@ -370,7 +370,7 @@ class DetectionLimits:
     def __init__(self, found: Candidate, named: Sequence[str]) -> None:
         self._fit = found.fit
         self._screen = Screen(found.fit)
-        self._blocks = residual_blocks(found.fit)
+        self._blocks = [block for _, block in residual_blocks(found.fit)]
         self._left = [float(np.mean(found.fit.residuals[block] ** 2)) for block in self._blocks]
         self._tests = len(found.fit.parameters.dataset.tests)
         # A further member of a set needs its gain; a first effect a certain gap.

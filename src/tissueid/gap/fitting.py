@@ -155,13 +155,8 @@ def _with_held_out_estimates(found: Fit) -> Fit:
     return replace(found, parameters=parameters, predictions=predictions)
 
 
-def residual_blocks(found: Fit) -> list[slice]:
-    """Return the places of each channel of each fitted test in ``Fit.residuals``."""
-    return [block for _, block in _blocks(found)]
-
-
-def _blocks(found: Fit) -> list[tuple[int, slice]]:
-    # Number of the test and places of each channel of each fitted test.
+def residual_blocks(found: Fit) -> list[tuple[int, slice]]:
+    """Return the number of the test and the places in ``Fit.residuals`` of each channel of each fitted test."""
     blocks, end = [], 0
     for test in found.parameters.dataset.tests:
         for name in found.parameters.dataset.channels:
@@ -188,7 +183,10 @@ class LinearRefit:
         refitted = [k for k, item in enumerate(coordinates) if not (without and item.name.startswith(f"{without}."))]
         # Places of the residuals with orthonormal columns that span the derivatives there.
         self._bases: list[tuple[slice, FloatArray]] = []
-        for number, rows in _places(found).items():
+        places: dict[int, slice] = {}
+        for test, block in residual_blocks(found):
+            places[test] = slice(places.get(test, block).start, block.stop)
+        for number, rows in places.items():
             own = slopes[rows, [k for k in refitted if coordinates[k].test == number]]
             self._bases.append((rows, _basis(own, own)))
         shared = slopes[:, [k for k in refitted if coordinates[k].test is None]]
@@ -208,14 +206,6 @@ def _basis(left: FloatArray, columns: FloatArray) -> FloatArray:
     kept = norms > ABSORBED * np.linalg.norm(columns, axis=0)
     found: FloatArray = np.linalg.qr(left[:, kept] / norms[kept])[0]
     return found
-
-
-def _places(found: Fit) -> dict[int, slice]:
-    # Places of each fitted test in ``Fit.residuals``.
-    places: dict[int, slice] = {}
-    for test, block in _blocks(found):
-        places[test] = slice(places.get(test, block).start, block.stop)
-    return places
 
 
 def residuals_without(found: Fit, name: str) -> FloatArray:
@@ -273,7 +263,11 @@ class _Search:
         dataset = parameters.dataset
         self._tests = dataset.tests
         self._channels = dataset.channels
-        self._weights = [self._weights_of(weighed_as or parameters, test) for test in self._tests]
+        self._weights = []
+        for test in self._tests:
+            irreducible = (weighed_as or parameters).irreducible((weighed_as or parameters).array("start"), test.number)
+            floors = {name: np.hypot(dataset.noise[name], irreducible.get(name, 0.0)) for name in self._channels}
+            self._weights.append({name: 1.0 / max(float(floor), LEAST_NOISE[name]) for name, floor in floors.items()})
         self._masks = [
             {name: test.serving(Purpose.FIT) & np.isfinite(test.signals[name]) for name in self._channels}
             for test in self._tests
@@ -285,14 +279,6 @@ class _Search:
         counts = [sum(int(mask.sum()) for mask in masks.values()) for masks in self._masks]
         self._fitted = [count > 0 for count in counts]
         self._ends = np.cumsum([0, *counts])
-
-    def _weights_of(self, parameters: Parametrisation, test: DatasetTest) -> dict[str, float]:
-        irreducible = parameters.irreducible(parameters.array("start"), test.number)
-        return {
-            name: 1.0
-            / max(float(np.hypot(parameters.dataset.noise[name], irreducible.get(name, 0.0))), LEAST_NOISE[name])
-            for name in self._channels
-        }
 
     def run(self, theta: FloatArray, near: Fit | None, most_steps: int) -> Fit:
         prior = self._parameters.array("prior"), self._parameters.array("prior_std")
@@ -309,7 +295,12 @@ class _Search:
             found = replace(more, steps=found.steps + more.steps)
         best = found.point
         problem.follow(best)
-        predictions = self._unfitted(best.theta, best.extra)
+        predictions = list(best.extra)
+        # Those of the tests that are held out completely are missing.
+        others = [k for k, is_fitted in enumerate(self._fitted) if not is_fitted]
+        left_out = predict(self._parameters, best.theta, [self._tests[k] for k in others])
+        for k, predicted in zip(others, left_out, strict=True):
+            predictions[k] = predicted
         slopes = problem.jacobian.astype(np.float32)
         return Fit(self._parameters, best.theta, best.cost, predictions, best.residuals, slopes, found.steps)
 
@@ -371,13 +362,3 @@ class _Search:
                 rows.append(np.clip(error, -WORST, WORST))
             values[self._ends[k] : self._ends[k + 1]] = np.concatenate(rows)
         return values, predictions
-
-    def _unfitted(self, theta: FloatArray, predictions: Predictions) -> Predictions:
-        # With the predictions of the tests that are held out completely.
-        others = [k for k, is_fitted in enumerate(self._fitted) if not is_fitted]
-        found = list(predictions)
-        for k, predicted in zip(
-            others, predict(self._parameters, theta, [self._tests[k] for k in others]), strict=True
-        ):
-            found[k] = predicted
-        return found

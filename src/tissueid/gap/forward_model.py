@@ -60,7 +60,8 @@ def simulate_equivalent(parameters: Parametrisation, theta: FloatArray, test: Da
     times = fineness(test.sample_rate_hz)
     rate = times * test.sample_rate_hz
     instrument, met = parameters.instrument(theta), parameters.tissue_of(theta, test)
-    force = _Shifted.of(test, about.held).by(parameters.value(theta, DELAY) * rate)
+    driven = _shifted(_Identity(test.command), test.sample_rate_hz, about.held)
+    force = driven.by(parameters.value(theta, DELAY) * rate)
     acting = parameters.acting(theta, test)
     driving = [item for item in acting if bus.AMPLIFIER in item.effect.places]
     if driving:
@@ -185,11 +186,6 @@ class _Shifted:
         self._held = held
         self._late, self._shifted = float("nan"), self._fine
 
-    @classmethod
-    def of(cls, test: DatasetTest, held: bool) -> _Shifted:
-        """Return the command of a test, to be delayed by any time; ``held`` between the samples."""
-        return _shifted(_Identity(test.command), test.sample_rate_hz, held)
-
     def by(self, late: float) -> FloatArray:
         """Return its mean over every fine step, shape (n times,), at a delay in fine steps."""
         if late != self._late:
@@ -228,14 +224,6 @@ STEP_S = 1.25e-4
 def substeps_of(test: DatasetTest, step_s: float = STEP_S) -> int:
     """Return the number of integration steps in a sample of a test that are not longer than ``step_s``."""
     return max(1, int(np.ceil(1.0 / (test.sample_rate_hz * step_s))))
-
-
-def starting_point(test: DatasetTest, resistance_ohm: float) -> Start:
-    """Return the start of a test: at rest at the surface, unless its first readings differ."""
-    at = test.starting_position_m
-    if test.driven_by == "current":
-        return Start(float(test.command[0]), at, 0.0)
-    return Start(float(test.command[0]) / resistance_ohm, at, 0.0)
 
 
 def simulate_test(
@@ -290,7 +278,9 @@ class _MotionCache:
     ) -> Readings:
         """Return the signals before the sensors, simulated if they are not in the cache."""
         effects = tuple((item.effect.name, item.values.tobytes()) for item in hooked)
-        start, on_tissue = starting_point(test, instrument.resistance_ohm), test.fixture == "tissue"
+        # At rest at the surface, unless the first readings differ.
+        begin_a = float(test.command[0]) / (1.0 if test.driven_by == "current" else instrument.resistance_ohm)
+        start, on_tissue = Start(begin_a, test.starting_position_m, 0.0), test.fixture == "tissue"
         # A repeat has the same motion: the key is the command and not the test.
         key = (test.played, start, on_tissue, id(given), instrument, met, effects, substeps)
         if key in self._kept:

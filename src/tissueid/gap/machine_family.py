@@ -184,17 +184,13 @@ def in_windows(dataset: Dataset, about: Equivalent) -> Dataset | None:
         edges = (*restarts(test, about), test.command.size)
         moved += [np.var(position[a:b]) for a, b in pairwise(edges)]
     least = WINDOW_NOISE * float(np.sqrt(np.mean(moved)))
-    white = float(np.mean([_white(test) for test in tests]))
+    # White noise of the output from third differences, which leave little of the motion.
+    third = [np.abs(np.diff(interpolated(test.signals["position"]), 3) / np.sqrt(20.0)) for test in tests]
+    white = float(np.mean([1.4826 * np.median(left) for left in third]))
     # The velocity at a restart is uncertain, and its error grows to that over half a window. Corners exaggerate it.
     begun = float(np.sqrt(np.mean([velocity_error(test, about) ** 2 for test in tests])))
     noise = dataset.noise | {"position": float(np.hypot(max(least, white), min(0.5 * length * begun, 2.0 * least)))}
     return replace(dataset, tests=tests, noise=noise, equivalent=about)
-
-
-def _white(test: DatasetTest) -> float:
-    # White noise of the output from third differences, which leave little of the motion.
-    left = np.diff(interpolated(test.signals["position"]), 3) / np.sqrt(20.0)
-    return float(1.4826 * np.median(np.abs(left)))
 
 
 def _purposes(test: DatasetTest, starts: Sequence[int]) -> NDArray[np.int8]:

@@ -94,7 +94,7 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
         return Dataset(
             session.instrument, seen, noise, tuple(remarks), gravity_m_s2=_gravity([item.test for item in tests])
         )
-    alike = [test for test, names in _usable(chosen, remarks, _bare_test) if names]
+    alike = [test for test, names in _usable(chosen, remarks, lambda test: (test, input_output_names(test))) if names]
     fitting = [
         test
         for test in alike
@@ -155,10 +155,6 @@ def _gravity(tests: Sequence[Test]) -> tuple[float, float]:
     if len(known) < len(tests) or np.ptp(known) > 2.0 * GRAVITY_STD_M_S2:
         return 0.0, GRAVITY_M_S2
     return float(np.mean(known)), GRAVITY_STD_M_S2
-
-
-def _bare_test(test: Test) -> tuple[Test, tuple[str, str]]:
-    return test, input_output_names(test)
 
 
 def _usable(tests: Sequence[Test], remarks: list[Message], take: Callable[[Test], T]) -> list[T]:

@@ -149,7 +149,7 @@ def simulate_stage(
     prior, std = parameters.array("prior")[places], parameters.array("prior_std")[places]
     start = (baseline.theta if theta is None else theta).copy()
     givens = [upstream(test, *names) for test in tests]
-    masks = [_used(test, channel) for test in tests]
+    masks = [(test.purpose > 0) & np.isfinite(test.signals[channel]) for test in tests]
     sigma = max(noise, LEAST_NOISE[channel])
 
     def simulated(values: FloatArray) -> list[dict[str, FloatArray]]:
@@ -185,10 +185,6 @@ def simulate_stage(
         start[places] = minimise(problem, at, most_steps=most_steps, tolerance=_TOLERANCE, bounds=bounds).point.theta
     predictions = {test.number: one for test, one in zip(tests, simulated(start[places]), strict=True)}
     return StageSimulation(channel, tuple(tests), start, predictions)
-
-
-def _used(test: DatasetTest, channel: str) -> NDArray[np.bool_]:
-    return (test.purpose > 0) & np.isfinite(test.signals[channel])
 
 
 def _substeps(test: DatasetTest, names: tuple[str, ...], has_effects: bool) -> int:

@@ -103,25 +103,19 @@ def _stds(fitted: Fit, test: int) -> dict[str, float]:
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     covariance = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0) * excess) / scale
-    found: dict[str, float] = {}
     instrument = parameters.instrument(fitted.theta)
-    for ours in INSTRUMENT_COORDINATES:
-        if ours in parameters.index:
-            found[ours] = float(stds[parameters.index[ours]]) * getattr(instrument, ours)
-    if "weight_n" in parameters.index:
-        found["weight_n"] = float(stds[parameters.index["weight_n"]])
-    for ours in TISSUE_COORDINATES:
-        if ours in parameters.index:
-            k = parameters.index[ours]
-            found[ours] = float(stds[k]) * (float(np.exp(fitted.theta[k])) if ours in LOGARITHMIC_TISSUE else 1.0)
+    factors = {name: float(getattr(instrument, name)) for name in INSTRUMENT_COORDINATES} | {"weight_n": 1.0}
+    for name in TISSUE_COORDINATES:
+        factors[name] = float(np.exp(fitted.value(name))) if name in LOGARITHMIC_TISSUE else 1.0
     for held in parameters.effects:
         values = parameters.effect_values(fitted.theta, held, test)
         for parameter, value in zip(held.parameters, values, strict=True):
-            place = parameters.index.get(f"{held.name}.{parameter.name}")
-            if place is not None and not parameter.per_test:
-                factor = float(value) if parameter.logarithmic else 1.0
-                found[f"{held.name}.{parameter.name}"] = float(stds[place]) * factor
-    return {name: min(value, _MOST_STD) for name, value in found.items()}
+            if not parameter.per_test:
+                factors[f"{held.name}.{parameter.name}"] = float(value) if parameter.logarithmic else 1.0
+    places = parameters.index
+    return {
+        name: min(float(stds[places[name]]) * factor, _MOST_STD) for name, factor in factors.items() if name in places
+    }
 
 
 def twin_file_of(
