@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 from coded import coded, says
 from feedback_kinds import PushBack, PushBackSource, Runaway
-from support import MISHAPS, connect, halfway, left_by_a_power_cut
+from support import connect
 
-from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, recover, run_guided_test
+from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, run_guided_test
 from tissueid.errors import (
-    CancelledError,
     FirmwareFaultError,
     InstrumentError,
     LimitError,
     TissueIDError,
     UnusableInputError,
 )
-from tissueid.instrument import Limits, ReplayInstrument, SimulatedInstrument
+from tissueid.instrument import ReplayInstrument, SimulatedInstrument
 from tissueid.stimuli import get_stimulus
 from tissueid.stimuli.base import BLOCK
 from tissueid.test_settings import TestSettings
@@ -178,22 +177,6 @@ def test_a_replay_refuses_set_points_in_one_line(tmp_path):
         run(ReplayInstrument(source.device, recorded.signals), a_test(), tmp_path / "b.h5")
 
 
-@MISHAPS
-def test_a_mishap_in_mid_feedback_frees_the_coil_and_keeps_the_recorded_part(tmp_path, mishap, error):
-    instrument = connect()
-    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    with pytest.raises(error):
-        run_guided_test(instrument, a_test(3.0), recorder, surface_m=SURFACE, progress=halfway(instrument, mishap))
-    instrument.link.run_for(1.0)
-    assert not instrument.link.firmware.energised
-    instrument.close()
-    test = recorder.finish().test()
-    assert test.status == "aborted"
-    assert test.samples >= 3500
-    assert test.notes["generating_share"] > 0.0
-    assert "stimulus_report" not in test.notes
-
-
 def test_a_host_that_stops_sending_is_held_and_then_released(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
@@ -213,23 +196,6 @@ def test_a_host_that_stops_sending_is_held_and_then_released(tmp_path):
     np.testing.assert_allclose(newtons[PRELOAD + 2000 + 150 : PRELOAD + 2900], 4.0, atol=0.01)
     assert test.status == "aborted"
     assert test.notes["held_samples"] >= 500
-
-
-def test_cancelling_keeps_what_was_recorded(tmp_path):
-    instrument = connect()
-    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    seen = []
-    with pytest.raises(CancelledError):
-        run_guided_test(
-            instrument,
-            a_test(3.0),
-            recorder,
-            surface_m=SURFACE,
-            progress=seen.append,
-            cancelled=lambda: bool(seen) and seen[-1].fraction > 0.5,
-        )
-    assert not instrument.link.firmware.energised
-    assert recorder.finish().test().status == "aborted"
 
 
 def test_what_was_held_in_lost_samples_is_counted(tmp_path):
@@ -278,27 +244,6 @@ def test_a_defect_in_mid_feedback_frees_the_coil_and_closes_the_recording(tmp_pa
     test = recorder.finish().test()
     assert test.status == "aborted"
     assert says(test.reason, "test.defect", kind="ZeroDivisionError", error="a plug-in")
-
-
-def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
-    instrument = connect()
-    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-
-    power_cut = left_by_a_power_cut(recorder, tmp_path / "left.h5")
-    run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=power_cut)
-    recorder.abandon()
-    _, session = recover(tmp_path / "left.h5")
-    assert session.test().status == "recovered"
-    assert session.test().samples > 2500
-    assert session.test().stimulus["stimulus"]["type"] == "push_back"
-
-
-def test_a_limit_broken_in_mid_feedback(tmp_path):
-    recorder = SessionRecorder(tmp_path / "s.h5", (instrument := SimulatedInstrument()).device)
-    test = GuidedTest(PushBack(), TestSettings(site="x"), limits=Limits(max_position_m=0.013))
-    with pytest.raises(LimitError, check=coded("limit.position")):
-        run_guided_test(instrument, test, recorder, surface_m=SURFACE)
-    assert recorder.finish().test().status == "aborted"
 
 
 @pytest.mark.parametrize(

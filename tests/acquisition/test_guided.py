@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from coded import coded, holding, says
+from feedback_kinds import PushBack
 from support import MISHAPS, connect, halfway, left_by_a_power_cut
 
 from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, recover, run_guided_test
@@ -29,6 +30,13 @@ def guided(seconds=1.0, mean=4.0, swing=1.0, **changes):
     preload = np.full(round(0.5 * RATE), mean)
     stimulus = Stimulus(np.concatenate((preload, force)), RATE, {"type": "sine"}, 7, 1.4, preload_s=0.5)
     return GuidedTest(stimulus, TestSettings(site="left forearm"), **changes)
+
+
+def feedback(seconds=1.0, **changes):
+    return GuidedTest(PushBack(seconds=seconds), TestSettings(site="left forearm"), **changes)
+
+
+both_kinds = pytest.mark.parametrize("make", [guided, feedback], ids=["open loop", "feedback"])
 
 
 @pytest.fixture(params=["firmware", "in process", "replay"])
@@ -66,14 +74,15 @@ def test_one_guided_test_from_start_to_file(instrument, tmp_path):
     assert fractions[-1] == 1.0
 
 
-def test_cancelling_keeps_what_was_recorded(tmp_path):
+@both_kinds
+def test_cancelling_keeps_what_was_recorded(tmp_path, make):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     seen = []
     with pytest.raises(CancelledError):
         run_guided_test(
             instrument,
-            guided(3.0),
+            make(3.0),
             recorder,
             surface_m=0.01,
             progress=seen.append,
@@ -87,11 +96,12 @@ def test_cancelling_keeps_what_was_recorded(tmp_path):
 
 
 @MISHAPS
-def test_a_mishap_in_mid_test_keeps_the_recorded_part(tmp_path, mishap, error):
+@both_kinds
+def test_a_mishap_in_mid_test_frees_the_coil_and_keeps_the_recorded_part(tmp_path, make, mishap, error):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(error):
-        run_guided_test(instrument, guided(3.0), recorder, surface_m=0.01, progress=halfway(instrument, mishap))
+        run_guided_test(instrument, make(3.0), recorder, surface_m=0.01, progress=halfway(instrument, mishap))
     instrument.link.run_for(1.0)
     assert not instrument.link.firmware.energised
     instrument.close()
@@ -99,13 +109,16 @@ def test_a_mishap_in_mid_test_keeps_the_recorded_part(tmp_path, mishap, error):
     assert test.status == "aborted"
     assert test.samples >= 3500
     assert not np.isnan(test.signals["position"]).any()
+    assert test.notes.get("generating_share", 0.0) > 0.0 or make is guided
+    assert "stimulus_report" not in test.notes
 
 
-def test_a_limit_broken_in_mid_test(tmp_path):
+@both_kinds
+def test_a_limit_broken_in_mid_test(tmp_path, make):
     instrument = SimulatedInstrument()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(LimitError, check=coded("limit.position")):
-        run_guided_test(instrument, guided(limits=Limits(max_position_m=0.013)), recorder, surface_m=0.01)
+        run_guided_test(instrument, make(limits=Limits(max_position_m=0.013)), recorder, surface_m=0.01)
     assert recorder.finish().test().status == "aborted"
 
 
@@ -130,15 +143,17 @@ def test_gaps_are_stored_in_the_session(tmp_path):
     assert any(event["kind"] == "gap" for event in json.loads(test.notes["events"]))
 
 
-def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
+@both_kinds
+def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path, make):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     power_cut = left_by_a_power_cut(recorder, tmp_path / "left.h5")
-    run_guided_test(instrument, guided(2.0), recorder, surface_m=0.01, progress=power_cut)
+    run_guided_test(instrument, make(2.0), recorder, surface_m=0.01, progress=power_cut)
     recorder.abandon()
     _, session = recover(tmp_path / "left.h5")
     assert session.test().status == "recovered"
     assert 2500 < session.test().samples < 5000
+    assert session.test().stimulus["type"] == ("sine" if make is guided else "guided")
 
 
 def test_a_probe_in_the_air_is_noticed():
