@@ -341,13 +341,15 @@ def draw_grid(
 ) -> tuple[list[Axes], list[list[DrawnLine]]]:
     """Draw rows of plots. Return the axes and their long lines, row by row; arguments as :func:`draw_plots`.
 
-    A column over one abscissa shares its limits and its labels; neighbours in a row share an ordinate that is the same.
+    A column over one abscissa shares its limits, unless they are set and differ, and its labels; neighbours in a row share an ordinate that is the same.
     """
     if not rows:
         return [], []
     grid = figure.subplots(len(rows), len(rows[0]), squeeze=False, height_ratios=heights, width_ratios=widths)
     shared = [
-        len(rows) > 1 and len({(plot.x.label, plot.x.unit, plot.x.log) for plot in column}) == 1
+        len(rows) > 1
+        and len({(plot.x.label, plot.x.unit, plot.x.log) for plot in column}) == 1
+        and len({plot.x.limits for plot in column} - {None}) < 2
         for column in zip(*rows, strict=True)
     ]
     for column in grid.T[shared]:

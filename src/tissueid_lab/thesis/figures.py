@@ -147,7 +147,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
             *(Source("1 N", one) for one in _localized(POSTERIOR)),
             Source("11 N, attached", _attached("11n", -5.5, 5.5)),
             Source("7 N, attached", _attached("7n", -3.5, 3.5)),
-            *(Source("1 N, attached", _attached(f"local-{n}", n - 0.5, n + 0.5, 2.0)) for n in range(-5, 6)),
+            *(Source("1 N, attached", _attached(f"local-{n + 6}", n - 0.5, n + 0.5, 2.0)) for n in range(-5, 6)),
         ),
         ("wiener",),
         ("nonlinearity", "impulse-by-depth"),
