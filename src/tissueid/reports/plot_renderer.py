@@ -341,7 +341,8 @@ def draw_grid(
 ) -> tuple[list[Axes], list[list[DrawnLine]]]:
     """Draw rows of plots. Return the axes and their long lines, row by row; arguments as :func:`draw_plots`.
 
-    A column over one abscissa shares its limits, unless they are set and differ, and its labels; neighbours in a row share an ordinate that is the same.
+    A column over one abscissa shares its limits, unless they are set and differ, and its labels; neighbours in a row
+    share an ordinate that is the same.
     """
     if not rows:
         return [], []
