@@ -186,6 +186,14 @@ def dependence_samples(residual: Array, sample_rate_hz: float) -> int:
     return 1 if white else longest
 
 
+def widening_of_blocks(share: float) -> float:
+    """Return the correction factor of a standard deviation from blocks of this share of the samples.
+
+    It allows for their small number (Kiefer and Vogelsang 2005).
+    """
+    return 1.0 + (2.9694 * share + 0.416 * share**2 - 0.5324 * share**3) / 1.9600
+
+
 def long_run_covariance(terms: Array, block: int) -> Array:
     """Return the covariance (p, p) of the column sums of autocorrelated rows (n, p).
 
@@ -204,9 +212,9 @@ def long_run_covariance(terms: Array, block: int) -> Array:
     regression = (left * np.minimum(gains, _LARGEST_GAIN)) @ right
     colouring = np.linalg.inv(np.eye(size.size) - regression) * size[:, None]
     innovations = _block_covariance(after - before @ regression.T, block)
-    share = block / terms.shape[0]
-    widening = 1.0 + (2.9694 * share + 0.416 * share**2 - 0.5324 * share**3) / 1.9600
-    return np.asarray(widening**2 * colouring @ innovations @ colouring.T, dtype=np.float64)
+    return np.asarray(
+        widening_of_blocks(block / terms.shape[0]) ** 2 * colouring @ innovations @ colouring.T, dtype=np.float64
+    )
 
 
 def _block_covariance(rows: Array, block: int) -> Array:

@@ -26,6 +26,12 @@ def complete_windows(finite: Mask, length: int) -> Mask:
     return complete
 
 
+def complete_after_rest(finite: Mask, length: int) -> Mask:
+    """Return the mask (n,) of samples whose last ``length`` samples are known, where all were before the first one."""
+    padded = np.concatenate([np.ones(length - 1, dtype=np.bool_), finite])
+    return complete_windows(padded, length)[length - 1 :]
+
+
 def finite_runs(finite: Mask) -> NDArray[np.intp]:
     """Return first sample and end of each run of True, shape (runs, 2)."""
     steps = np.diff(np.concatenate([[0], finite.astype(np.int8), [0]]))

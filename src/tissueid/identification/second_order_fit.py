@@ -273,7 +273,8 @@ def fit_second_order(
 
     found = search([math.log(system.mass), math.log(system.damping), math.log(system.stiffness)])
     late = problem.point(np.append(found.point.theta, 0.0))
-    if _possible_gain(late) > _WORTH_DEAD_TIME:
+    step = np.linalg.lstsq(late.slopes, late.error, rcond=1e-10)[0]  # which removes a share of the error to first order
+    if float(late.error @ late.slopes @ step) / max(late.cost, 1e-300) > _WORTH_DEAD_TIME:
         other, other_sign, shift = correlations.start(_DEAD_TIMES)
         starts = [list(late.theta)]
         if other_sign == sign:
@@ -340,12 +341,6 @@ def fit_second_order(
     # From rest at the mean input; gaps contain no fitted samples.
     simulated = answer.simulate(np.where(np.isfinite(record.input), record.input - mean_u, 0.0))
     return replace(answer, vaf_percent=vaf_percent(record.output[used], simulated[used]))
-
-
-def _possible_gain(at: ErrorPoint) -> float:
-    """Return the share of the squared error that a step of all parameters removes to first order."""
-    step = np.linalg.lstsq(at.slopes, at.error, rcond=1e-10)[0]
-    return float(at.error @ at.slopes @ step) / max(at.cost, 1e-300)
 
 
 class _SimulationError(ErrorProblem):

@@ -317,6 +317,7 @@ def select_degrees(
     for degree in range(max(degrees.values(), default=0) + 1):
         due = {name: degree for name in SERIES if degrees.get(name, -1) >= degree > _degree(fitted, name)}
         fitted = _refitted(data, fitted, due, start) or fitted if due else fitted
+    low, high = _INERTIA_RANGE
     growing = True
     while free and growing:
         growing = False
@@ -324,7 +325,8 @@ def select_degrees(
         asked = [key for key, (statistic, _) in gains.items() if statistic > _SCORE_THRESHOLDS[key[1] - 1]]
         for name, more in sorted(asked, key=lambda key: -gains[key][1]):
             better = _refitted(data, fitted, {name: _degree(fitted, name) + more}, start)
-            if better is not None and _plausible(better):
+            # A share of M'(y) y'^2 that no mass has must have another cause.
+            if better is not None and all(low < share < high for share in better.curves.inertia):
                 fitted, growing = better, True
                 break
     fitted = _without_insignificant_degrees(data, fitted, free, start)
@@ -363,12 +365,6 @@ def _degrees_to_test(fitted: FittedDpn, name: str, most: int) -> int:
     if name == "inertia":  # means nothing for a constant mass
         return 1 if fitted.curves.inertia.size == 0 and fitted.curves.mass.size > 1 else 0
     return max(0, min(_DEGREES_TESTED, most - _degree(fitted, name)))
-
-
-def _plausible(fitted: FittedDpn) -> bool:
-    """Return False if the share of M'(y) y'^2 is not possible for any mass, so that another effect must cause it."""
-    low, high = _INERTIA_RANGE
-    return all(low < share < high for share in fitted.curves.inertia)
 
 
 def _refitted(

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, Family, Mask, Model, option
+from tissueid.identification.base import Array, Engine, Family, Model, option
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.fit import DpnData, EstimatedCurves, FittedDpn, coefficient_covariance
@@ -24,7 +24,7 @@ from tissueid.identification.dpn.simulation import FreeRun, simulate_dpn
 from tissueid.identification.preparation import (
     SAMPLES_PER_PARAMETER,
     PreparedRecord,
-    complete_windows,
+    complete_after_rest,
     prepare,
     scored_samples,
     typical_samples,
@@ -86,9 +86,7 @@ class DpnModel(Model):
         """
         u = np.asarray(u, dtype=np.float64)
         position = self.free_run(u).position
-        padded = np.concatenate([np.ones(self.memory_samples - 1, dtype=np.bool_), np.isfinite(u)])
-        complete: Mask = complete_windows(padded, self.memory_samples)[self.memory_samples - 1 :]
-        position[~complete] = np.nan
+        position[~complete_after_rest(np.isfinite(u), self.memory_samples)] = np.nan
         return position
 
     def depth_profile(self) -> DepthProfile | None:

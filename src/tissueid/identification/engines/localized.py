@@ -15,7 +15,7 @@ from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.simulation import Curves, simulate_dpn, tabulate_curves
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.partitions.parameters import LocalParameters, means_and_slopes
-from tissueid.identification.preparation import complete_windows, prepare
+from tissueid.identification.preparation import complete_after_rest, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
@@ -65,9 +65,7 @@ class LocalizedModel(Model):
         run = simulate_dpn(
             self.curves, self.sign * u, self.sample_rate_hz, rest_input=self.sign * self.input_mean, hold=self.hold
         )
-        padded = np.concatenate([np.ones(self.memory_samples - 1, dtype=np.bool_), np.isfinite(u)])
-        complete: Mask = complete_windows(padded, self.memory_samples)[self.memory_samples - 1 :]
-        return np.where(complete, run.position, np.nan)
+        return np.where(complete_after_rest(np.isfinite(u), self.memory_samples), run.position, np.nan)
 
     def depth_profile(self) -> DepthProfile:
         """Return one row per level, in the order of position; ``direction`` is that of the step to the level."""

@@ -121,9 +121,43 @@ class PartitionEngine(MemoryEngine):
         """Fit the kernels to a record, or to a contiguous part of it.
 
         Raises:
-            UnusableInputError: nothing varies, or too few samples for the memory and the partitions.
+            UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints outside the
+                motion, or a partition with too few samples.
         """
-        return fit_partitions(self, record, fit_part)
+        rate = record.sample_rate_hz
+        first = prepare(record, fit_part, 1.0 / rate, 1)
+        grid, cut = _grid(self, first)
+        rows = prepare(record, fit_part, grid.memory_samples / rate, 1).used
+        if not rows.any():
+            raise UnusableInputError(
+                "partitions.no_sample", "no usable sample: the record is full of gaps, or the memory is too long"
+            )
+        partitions = _cut(self, record.output, rows, rate)
+        stepped = is_stepped(record.input, rows, grid.memory_samples)
+        offset = self.offset if self.offset != "auto" else "partition" if stepped else "common"
+        at_output = offset == "partition"
+        n_parameters = partitions.count * (grid.lags + int(at_output)) + int(not at_output)
+        prepared = prepare(record, fit_part, grid.memory_samples / rate, n_parameters)
+        cells = partitions.cells(record.output)
+        used = _usable(prepared, cells, grid, n_parameters, at_output)
+        _check_support(partitions, cells, used, grid)
+        linear = fit_second_order(record, prepared.used, self.hold)
+        reference = 0.0 if offset == "common" else prepared.input_mean
+        if at_output:
+            solved, assigned = _assigned_by_model(record, prepared, partitions, cells, used, grid)
+        else:
+            solved = solve_along_lags(record.input, record.output, reference, cells, partitions.count, used, grid, rate)
+            assigned = cells
+        local = _local(self, prepared, partitions, solved, assigned, used, grid, linear)
+        profile = profile_of(local, partitions, cells, used) if linear.mechanical else None
+        model = _model(solved, prepared, partitions, grid, local, profile, self)
+        fitted = _reported(model, record, prepared, used, solved, local, linear)
+        report = fitted.report
+        own, doubted = ((_OWN_OFFSETS,), ()) if at_output else ((), (_STEPPED,))
+        return fitted.with_report(
+            warnings=(*cut, *report.warnings, *(doubted if stepped else ())),
+            findings=(*report.findings, *(own if stepped else ())),
+        )
 
 
 def _cut(engine: PartitionEngine, output: Array, rows: Mask, sample_rate_hz: float) -> Partitions:
@@ -133,49 +167,6 @@ def _cut(engine: PartitionEngine, output: Array, rows: Mask, sample_rate_hz: flo
     seen = np.where(rows, whole.filtered(output), np.nan)
     places = place_breakpoints(seen, engine.partitions, engine.breakpoints, engine.breakpoints_m)
     return replace(whole, breakpoints=places)
-
-
-def fit_partitions(engine: PartitionEngine, record: Record, fit_part: slice | None) -> PartitionedModel:
-    """Fit a partitioned model to a record, or to a contiguous part of it.
-
-    Raises:
-        UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints outside the
-            motion, or a partition with too few samples.
-    """
-    rate = record.sample_rate_hz
-    first = prepare(record, fit_part, 1.0 / rate, 1)
-    grid, cut = _grid(engine, first)
-    rows = prepare(record, fit_part, grid.memory_samples / rate, 1).used
-    if not rows.any():
-        raise UnusableInputError(
-            "partitions.no_sample", "no usable sample: the record is full of gaps, or the memory is too long"
-        )
-    partitions = _cut(engine, record.output, rows, rate)
-    stepped = is_stepped(record.input, rows, grid.memory_samples)
-    offset = engine.offset if engine.offset != "auto" else "partition" if stepped else "common"
-    at_output = offset == "partition"
-    n_parameters = partitions.count * (grid.lags + int(at_output)) + int(not at_output)
-    prepared = prepare(record, fit_part, grid.memory_samples / rate, n_parameters)
-    cells = partitions.cells(record.output)
-    used = _usable(prepared, cells, grid, n_parameters, at_output)
-    _check_support(partitions, cells, used, grid)
-    linear = fit_second_order(record, prepared.used, engine.hold)
-    reference = 0.0 if offset == "common" else prepared.input_mean
-    if at_output:
-        solved, assigned = _assigned_by_model(record, prepared, partitions, cells, used, grid)
-    else:
-        solved = solve_along_lags(record.input, record.output, reference, cells, partitions.count, used, grid, rate)
-        assigned = cells
-    local = _local(engine, prepared, partitions, solved, assigned, used, grid, linear)
-    profile = profile_of(local, partitions, cells, used) if linear.mechanical else None
-    model = _model(solved, prepared, partitions, grid, local, profile, engine)
-    fitted = _reported(model, record, prepared, used, solved, local, linear)
-    report = fitted.report
-    own, doubted = ((_OWN_OFFSETS,), ()) if at_output else ((), (_STEPPED,))
-    return fitted.with_report(
-        warnings=(*cut, *report.warnings, *(doubted if stepped else ())),
-        findings=(*report.findings, *(own if stepped else ())),
-    )
 
 
 def _grid(engine: PartitionEngine, first: PreparedRecord) -> tuple[LagGrid, tuple[str, ...]]:

@@ -19,7 +19,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, Family, FittedCurve, LineFigure, Mask, Model, option
 from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, ErrorProblem, minimise
-from tissueid.identification.preparation import complete_windows, finite_runs, prepare
+from tissueid.identification.preparation import complete_after_rest, finite_runs, prepare
 from tissueid.identification.ramp_stiffness import is_slow, ramp_stiffness
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
@@ -98,8 +98,7 @@ class ViscoelasticModel(Model):
         start = self.input_mean if start is None else start
         run = self.system.simulate(bridged - start, self.sample_rate_hz, self.hold)
         run += self.system.static_compliance * (start - self.input_mean)
-        padded = np.concatenate([np.ones(self.settling_samples - 1, dtype=np.bool_), known])
-        complete: Mask = complete_windows(padded, self.settling_samples)[self.settling_samples - 1 :]
+        complete = complete_after_rest(known, self.settling_samples)
         return np.where(complete, self.output_mean + self.sign * run, np.nan)
 
 

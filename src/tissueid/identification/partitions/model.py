@@ -15,7 +15,7 @@ from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.partitions.estimation import Contrast, LocalEstimates
 from tissueid.identification.partitions.parameters import LocalParameters, means_and_slopes, profile
 from tissueid.identification.partitions.regression import UNKNOWN, Cells, PartitionedKernels, Partitions
-from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, complete_windows
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, complete_after_rest
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.validation import vaf_percent
 from tissueid.language import marked
@@ -404,7 +404,7 @@ class PartitionedModel(Model):
             self.rest_cell,
             self.rest_position,
         )
-        output[~_complete_after_rest(np.isfinite(u), self.memory_samples)] = np.nan
+        output[~complete_after_rest(np.isfinite(u), self.memory_samples)] = np.nan
         return output
 
     def simulate_scheduled(self, record: Record) -> Array:
@@ -427,7 +427,7 @@ class PartitionedModel(Model):
             self.lag_spacing,
             self.at_output,
         )
-        output[~_complete_after_rest(known, self.window)] = np.nan
+        output[~complete_after_rest(known, self.window)] = np.nan
         return output
 
     def depth_profile(self) -> DepthProfile | None:
@@ -457,9 +457,3 @@ def equilibrium(
     tie = 1e-9 * np.abs(outputs - position)
     cell = int(np.argmin(miss + tie))
     return cell, float(outputs[cell])
-
-
-def _complete_after_rest(known: Mask, length: int) -> Mask:
-    """Return the mask (n,) of samples whose window has no unknown sample; samples before the first count as known."""
-    padded = np.concatenate([np.ones(length - 1, dtype=np.bool_), known])
-    return complete_windows(padded, length)[length - 1 :]

@@ -18,7 +18,7 @@ from scipy import signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import dependence_samples
+from tissueid.identification.correlation import dependence_samples, widening_of_blocks
 from tissueid.identification.least_squares import Factor, LaggedRegressors, factor
 from tissueid.identification.preparation import finite_runs
 from tissueid.identification.volterra.prior import residual_dependence
@@ -170,11 +170,6 @@ class PartitionedKernels:
         return np.asarray(np.sqrt(np.einsum("kjm,kjm->kj", self.kernel_root, self.kernel_root)))
 
 
-def channels_of(x: Array, cells: Cells, count: int) -> Array:
-    """Return the input of each cell, zero outside it, (count, n), from an input x (n,) and the cells (n,)."""
-    return np.where(cells == np.arange(count)[:, None], x, 0.0)
-
-
 def lagged_regressors(x: Array, cells: Cells, count: int, used: Mask, grid: LagGrid) -> _LaggedRows:
     """Return the regressors P of Eq. 5.1 or 5.3: a constant, then the lagged input of each cell.
 
@@ -185,7 +180,7 @@ def lagged_regressors(x: Array, cells: Cells, count: int, used: Mask, grid: LagG
         used: mask of the rows (n,); input and cell must be known throughout the memory of each.
         grid: the lags.
     """
-    return _LaggedRows(channels_of(x, cells, count), (grid.lags,) * count, grid.spacing, used)
+    return _LaggedRows(np.where(cells == np.arange(count)[:, None], x, 0.0), (grid.lags,) * count, grid.spacing, used)
 
 
 def solve_along_lags(
@@ -340,8 +335,7 @@ def _root(
     known = residual[rows]
     block = max(_SHORTEST_BLOCK, dependence_samples(known, sample_rate_hz))
     block = max(_QUARTERS, min(block, known.size // 8))
-    share = block / known.size
-    widening = 1.0 + (2.9694 * share + 0.416 * share**2 - 0.5324 * share**3) / 1.9600
+    widening = widening_of_blocks(block / known.size)
     dependence = residual_dependence(known, modelled[rows])
     quarter = np.arange(samples) // max(1, block // _QUARTERS)
     roots = []

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.identification.base import Array, Engine, Model
-from tissueid.identification.correlation import dependence_samples
+from tissueid.identification.correlation import dependence_samples, widening_of_blocks
 from tissueid.identification.preparation import complete_windows, part_mask, scored_samples
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -119,7 +119,7 @@ def bootstrap(
             progress(done + 1, n)
     found = np.array(draws)  # (n, k)
     if method == "blocks":
-        found = estimate + source.widening * (found - estimate)
+        found = estimate + widening_of_blocks(source.block / source.count) * (found - estimate)
     tail = 0.5 - level_percent / 200.0
     low, high = np.quantile(found, [tail, 1.0 - tail], axis=0)
     return Bands(
@@ -174,12 +174,6 @@ class _Source:
                 "there are no {samples} successive samples without a gap: use shorter blocks",
                 samples=self.block,
             )
-
-    @property
-    def widening(self) -> float:
-        """Correction factor of a standard deviation estimated from few blocks (Kiefer and Vogelsang 2005)."""
-        share = self.block / self.count
-        return 1.0 + (2.9694 * share + 0.416 * share**2 - 0.5324 * share**3) / 1.9600
 
     def with_residuals(self, rng: np.random.Generator) -> tuple[Record, slice | None]:
         """Return the record with resampled residuals, and the part to fit."""

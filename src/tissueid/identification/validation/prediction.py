@@ -229,7 +229,8 @@ def prediction_curve(
     Raises:
         UnusableInputError: a horizon is less than one sample, the rates differ, or no sample is left to score.
     """
-    steps = _doubling(model.memory_samples) if horizons is None else np.asarray(horizons, dtype=np.int_)
+    doubled = 2 ** np.arange(max(1, model.memory_samples).bit_length())
+    steps = np.unique([*doubled, model.memory_samples]) if horizons is None else np.asarray(horizons, dtype=np.int_)
     if steps.size == 0:
         raise UnusableInputError("prediction.no_horizon", "no prediction horizon is given")
     check_horizon(int(steps.min()))
@@ -270,7 +271,3 @@ def _ahead(simulated: Array, residual: Array, horizon: int, noise: Autoregressio
         full[: noise.order - 1] = np.nan
         foretold[horizon:] = np.where(np.isfinite(full), full, 0.0)
     return simulated + noise.mean + foretold
-
-
-def _doubling(memory_samples: int) -> NDArray[np.int_]:
-    return np.unique(np.append(2 ** np.arange(max(1, memory_samples).bit_length()), memory_samples)).astype(np.int_)

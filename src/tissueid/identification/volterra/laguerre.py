@@ -233,13 +233,13 @@ def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: floa
     residual = trial.output - orthonormal @ by_direction
     spread = long_run_covariance(orthonormal * residual[:, None], trial.lags * trial.spacing)
     covariance = inverse @ (spread * rows / max(1, rows - p)) @ inverse.T
-    kernels = _kernels(functions, coefficients, trial.order)
-    truncated = _truncation_error(trial, count, pole, kernels)
+    constant, kernel1, kernel2 = _kernels(functions, coefficients, trial.order)
+    missing0, missing1, missing2 = _truncation_error(trial, count, pole, kernel1, kernel2, constant)
     first = slice(1, 1 + count)
     pairs = slice(1 + count, _count(count, min(2, trial.order)))
     kernel2_std = None
-    if truncated.second is not None:
-        kernel2_std = np.sqrt(_second_variance(functions, covariance[pairs, pairs]) + truncated.second)
+    if missing2 is not None:
+        kernel2_std = np.sqrt(_second_variance(functions, covariance[pairs, pairs]) + missing2)
     warnings: tuple[str, ...] = ()
     if rows < SAMPLES_PER_PARAMETER * p:
         warnings = (
@@ -255,11 +255,11 @@ def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: floa
     coefficients[0] += offset
     return LaguerreKernels(
         kernel0=float(coefficients[0]),
-        kernel1=kernels.first,
-        kernel2=kernels.second,
+        kernel1=kernel1,
+        kernel2=kernel2,
         kernel3=_third(functions, coefficients[_count(count, 2) :]) if trial.order == 3 else None,
-        kernel0_std=float(np.sqrt(covariance[0, 0] + truncated.zeroth)),
-        kernel1_std=np.sqrt(_variance(functions, covariance[first, first]) + truncated.first),
+        kernel0_std=float(np.sqrt(covariance[0, 0] + missing0)),
+        kernel1_std=np.sqrt(_variance(functions, covariance[first, first]) + missing1),
         kernel2_std=kernel2_std,
         functions=functions,
         coefficients=coefficients,
@@ -271,26 +271,19 @@ def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: floa
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _LowOrders:
-    """h0, h1 (L,) and h2 (L, L), or quantities of the same shapes."""
-
-    zeroth: float
-    first: Array
-    second: Array | None
-
-
-def _kernels(functions: Array, coefficients: Array, order: int) -> _LowOrders:
+def _kernels(functions: Array, coefficients: Array, order: int) -> tuple[float, Array, Array | None]:
     count = functions.shape[1]
     second = None
     if order >= 2:
         shares = np.zeros((count, count))
         shares[np.triu_indices(count)] = coefficients[1 + count : _count(count, 2)]
         second = functions @ (0.5 * (shares + shares.T)) @ functions.T
-    return _LowOrders(float(coefficients[0]), functions @ coefficients[1 : 1 + count], second)
+    return float(coefficients[0]), functions @ coefficients[1 : 1 + count], second
 
 
-def _truncation_error(trial: _Trial, count: int, pole: float, kernels: _LowOrders) -> _LowOrders:
+def _truncation_error(
+    trial: _Trial, count: int, pole: float, kernel1: Array, kernel2: Array | None, constant: float
+) -> tuple[float, Array, Array | None]:
     """Return the expected squared truncation error: the squared change due to a few more functions.
 
     Its expectation is the squared bias that they remove plus the variance that they add. It is averaged over
@@ -301,15 +294,12 @@ def _truncation_error(trial: _Trial, count: int, pole: float, kernels: _LowOrder
         more -= 1
     functions = laguerre_functions(trial.lags, more, pole)
     coefficients = linalg.lstsq(trial.regressors(functions), trial.output, check_finite=False)[0]
-    richer = _kernels(functions, coefficients, trial.order)
+    richer0, richer1, richer2 = _kernels(functions, coefficients, trial.order)
     second = None
-    if kernels.second is not None and richer.second is not None:
-        second = ndimage.uniform_filter((richer.second - kernels.second) ** 2, _NEIGHBOURS, mode="nearest")
-    return _LowOrders(
-        (richer.zeroth - kernels.zeroth) ** 2,
-        ndimage.uniform_filter1d((richer.first - kernels.first) ** 2, _NEIGHBOURS, mode="nearest"),
-        second,
-    )
+    if kernel2 is not None and richer2 is not None:
+        second = ndimage.uniform_filter((richer2 - kernel2) ** 2, _NEIGHBOURS, mode="nearest")
+    first = ndimage.uniform_filter1d((richer1 - kernel1) ** 2, _NEIGHBOURS, mode="nearest")
+    return (richer0 - constant) ** 2, first, second
 
 
 def _count(functions: int, order: int) -> int:

@@ -307,7 +307,6 @@ class VolterraStimulus:
     """An input with its regressors factored; any number of responses to it can be solved for."""
 
     regressors: VolterraRegressors
-    gram: Array
     factor: Factor
 
     def matches(self, x: Array, used: Mask, lags: int, spacing: int, order: int) -> bool:
@@ -349,8 +348,7 @@ def factor_stimulus(x: Array, used: Mask, lags: int, spacing: int = 1, order: in
     Lags are ``spacing`` samples apart. Every input of a row's memory must have been received.
     """
     regressors = VolterraRegressors(x, used, lags, spacing, order)
-    gram = regressors.gram()
-    return VolterraStimulus(regressors, gram, factor(gram, regressors))
+    return VolterraStimulus(regressors, factor(regressors.gram(), regressors))
 
 
 _LARGEST_DIRECT = 1500

@@ -280,7 +280,7 @@ class _Evidence:
     def _informative_directions(self, hyper: Array) -> _DataTerms:
         """Return the normal equations without directions in which a prior is stronger than the data."""
         data = self._data
-        worth, directions = linalg.eigh(data.root.T @ self._times_prior(hyper, data), check_finite=False)
+        worth, directions = linalg.eigh(data.root.T @ self._prior_times(hyper, data.root), check_finite=False)
         kept = directions[:, worth > _LEAST_VARIANCE_RATIO]
         return _DataTerms(data.root @ kept, data.output @ kept)
 
@@ -288,7 +288,7 @@ class _Evidence:
         """Return minus the log marginal likelihood, up to a constant, and its derivatives."""
         lags, root = self._lags, data.root
         try:
-            factor, weights = _solve(data, self._times_prior(hyper, data))
+            factor, weights = _solve(data, self._prior_times(hyper, data.root))
         except linalg.LinAlgError:  # the step was too long: the noise vanishes
             return 1e3 * self._independent, np.zeros(hyper.size)
         power = self._unexplained(data, weights)
@@ -303,7 +303,7 @@ class _Evidence:
 
     def posterior(self, hyper: Array) -> RegularisedKernels:
         """Return the posterior mean, standard deviations and related results for given hyperparameters."""
-        spread = self._times_prior(hyper, self._data)  # K B, (M, rank)
+        spread = self._prior_times(hyper, self._data.root)  # K B, (M, rank)
         factor, weights = _solve(self._data, spread)
         power = self._unexplained(self._data, weights)
         noise = power / (self.dependence * self._independent)
@@ -339,9 +339,6 @@ class _Evidence:
         if self._second is None:
             return first
         return np.concatenate([first, self._second.matrix(hyper[FIRST:]) @ values[lags:]])
-
-    def _times_prior(self, hyper: Array, data: _DataTerms) -> Array:
-        return self._prior_times(hyper, data.root)
 
     def _prior_variance(self, hyper: Array) -> Array:
         first = np.diag(self._first.matrix(hyper[:FIRST]))

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Model
-from tissueid.identification.preparation import complete_windows
+from tissueid.identification.preparation import complete_after_rest
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.volterra.methods import simulate_third
 from tissueid.identification.volterra.regressors import Kernels
@@ -98,8 +98,7 @@ class VolterraModel(Model):
             ]
         )
         if not finite.all():
-            known = np.concatenate([np.ones(self.memory_samples - 1, dtype=np.bool_), finite])
-            parts[:, ~complete_windows(known, self.memory_samples)[self.memory_samples - 1 :]] = np.nan
+            parts[:, ~complete_after_rest(finite, self.memory_samples)] = np.nan
         return tuple(parts)
 
     def impulse_response(self, height: float = 1.0) -> ImpulseResponse:
@@ -330,7 +329,8 @@ def _bands(
     as smooth as the kernel itself, and the wider band is used.
     """
     rng = np.random.Generator(np.random.PCG64(0))  # reproducible
-    first = kernel1 if kernel1 is not None else _leading(kernel2)
+    values, vectors = np.linalg.eigh(kernel2)
+    first = kernel1 if kernel1 is not None else vectors[:, int(np.argmax(np.abs(values)))]
     widths = (0.0, _smoothness(first))
     lags = first.size
     energy = float(np.sum(kernel2**2))
@@ -357,11 +357,6 @@ def _bands(
         for name in names:
             bands[name] = min(bands[name], float(np.quantile(found[name], _LEVEL)) - _TOLERANCE)
     return bands
-
-
-def _leading(kernel2: Array) -> Array:
-    values, vectors = np.linalg.eigh(kernel2)
-    return np.asarray(vectors[:, int(np.argmax(np.abs(values)))], dtype=np.float64)
 
 
 def _of_size(pattern: Array, size: float) -> Array:
