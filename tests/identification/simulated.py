@@ -68,6 +68,18 @@ def linear_record(*seed: int, snr_db: float = 40.0, colour: float = 0.0, **syste
     return Record(force + 3.0, position + noise(rng, position, snr_db, colour) + 0.012, RATE)
 
 
+KERNEL = np.exp(-np.arange(30) / 6.0) * np.sin((np.arange(30) + 1) / 4.0)
+"""Response of ``broadband``, per sample."""
+
+
+def broadband(*seed: int, n: int, noise: float, pole: float = 0.0) -> Record:
+    """White force about 2 through ``KERNEL`` at 1 kHz, about 7, with autoregressive noise."""
+    rng = generator(*seed)
+    u = rng.standard_normal(n)
+    e = signal.lfilter([1.0], [1.0, -pole], rng.standard_normal(n + 500))[500:]
+    return Record(u + 2.0, signal.lfilter(KERNEL, [1.0], u) + noise * e + 7.0, 1000.0)
+
+
 C1, C2, SURFACE = 0.00742, 0.191, 0.0102
 """The anterior forearm of Chen 2010, Table 3.1, with a surface of our own."""
 

@@ -137,3 +137,8 @@ def simulate(system: str, *seed: int, snr_db: float = 30.0, colour: float = 0.0,
     clean = 0.01 + position[kept]
     measured = clean + noise(rng, clean, snr_db, colour)
     return Simulated(Record(force[kept], measured, RATE), clean, inside[kept])
+
+
+def apart(ours: Array, truth: Array) -> float:
+    """Relative distance of two arrays of one shape."""
+    return float(np.linalg.norm(ours - truth) / np.linalg.norm(truth))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from coded import refused, says
@@ -21,16 +23,7 @@ def record() -> Record:
     return simulated.wiener_record(80)
 
 
-def kernel() -> np.ndarray:
-    k = np.arange(LAGS)
-    return np.exp(-k / 6.0) * np.sin((k + 1) / 4.0)
-
-
-def broadband(*seed: int, n: int = 3000, noise: float = 0.05) -> Record:
-    """White force of unit power about 2 through a known kernel at 1 kHz, about 7."""
-    rng = simulated.generator(*seed)
-    u = rng.standard_normal(n)
-    return Record(u + 2.0, signal.lfilter(kernel(), [1.0], u) + noise * rng.standard_normal(n) + 7.0, 1000.0)
+broadband = partial(simulated.broadband, n=3000, noise=0.05)
 
 
 def plain(record: Record, lags: int, factor: float) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +86,7 @@ def test_a_linear_system_is_learnt(step: float):
     record = broadband(84, n=8000)
     live = Als(memory=0.03, step=step).start(1000.0)
     live.batch(record.input, record.output)
-    np.testing.assert_allclose(live.impulse_response / 1000.0, kernel(), atol=0.1)
+    np.testing.assert_allclose(live.impulse_response / 1000.0, simulated.KERNEL, atol=0.1)
     model = Als(memory=0.03, step=step).fit(record)
     assert model.report.details["vaf_tracking_percent"] > 90.0
     assert model.report.vaf_percent > 98.0
@@ -108,24 +101,6 @@ def test_it_follows_a_system_that_changes_and_says_what_is_no_free_run(record: R
     assert report.parameters["stiffness_n_per_m"].std is not None
     gained = Als(step=0.9).fit(record, slice(0, 6000)).report.details["vaf_tracking_percent"]
     assert gained > report.details["vaf_tracking_percent"]
-
-
-def test_batch_is_update_after_update_to_the_last_bit_and_gaps_teach_nothing():
-    record = broadband(85, n=900)
-    u, y = record.input.copy(), record.output.copy()
-    u[400], y[500:503] = np.nan, np.nan
-    one, many = (Als(memory=0.03).start(1000.0) for _ in range(2))
-    one_by_one = np.array([one.update(a, b) for a, b in zip(u.tolist(), y.tolist(), strict=True)])
-    np.testing.assert_array_equal(
-        one_by_one, np.concatenate([many.batch(u[:333], y[:333]), many.batch(u[333:], y[333:])])
-    )
-    np.testing.assert_array_equal(one.impulse_response, many.impulse_response)
-    np.testing.assert_array_equal(one.average_response, many.average_response)
-    unknown = np.flatnonzero(np.isnan(one_by_one))
-    np.testing.assert_array_equal(unknown, [*range(29), *range(400, 430), 500, 501, 502])
-    before = many.impulse_response
-    many.batch(np.array([np.nan, 1.0, 2.0]), np.array([1.0, 2.0, 3.0]))
-    np.testing.assert_array_equal(many.impulse_response, before)
 
 
 def test_records_are_fitted_together_and_nothing_reaches_across():
@@ -179,17 +154,3 @@ def test_running_away_within_a_record_is_refused():
     louder = np.where(np.arange(3000) < 2000, 0.05, 4.0)  # on average the step is below the bound
     loud = Record(louder * (record.input - 2.0), louder * (record.output - 7.0), 1000.0)
     refused(lambda: Als(memory=0.03, change_factor=0.012).fit(loud), "als.diverged", which="change_factor", step=0.012)
-
-
-def test_a_look_changes_nothing():
-    record = broadband(89)
-    looked_at, left_alone = Als(memory=0.03).start(1000.0), Als(memory=0.03).start(1000.0)
-    errors = []
-    for n, (u, y) in enumerate(zip(record.input.tolist(), record.output.tolist(), strict=True)):
-        errors.append(looked_at.update(u, y))
-        if n % 900 == 899:
-            model = looked_at.model()
-            for seen in (looked_at.impulse_response, model.impulse_response, model.trajectory, model.depth_support):
-                seen[:] = 0.0
-    np.testing.assert_array_equal(errors, left_alone.batch(record.input, record.output))
-    assert looked_at.model().report.vaf_percent > 98.0

@@ -40,10 +40,6 @@ def _fit(system: str, *seed: int, n: int = N, **options: object) -> tuple[simula
     return simulated, Cascade.from_options({"memory": MEMORY} | options).fit(simulated.record)
 
 
-def _apart(ours: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.linalg.norm(ours - truth) / np.linalg.norm(truth))
-
-
 @pytest.mark.parametrize("system", simulated_blocks.BLOCKS)
 def test_every_structure_is_recovered_and_simulates_held_out_samples_to_the_noise(system: str):
     name = simulated_blocks.true_name(system)
@@ -56,7 +52,9 @@ def test_every_structure_is_recovered_and_simulates_held_out_samples_to_the_nois
     assert np.var(clean - model.simulate(simulated.record.input)[4500:]) / np.var(clean) < 5e-4
     assert model.report.vaf_validation_percent > 99.8  # the noise is 0.1 %
     dynamics = model.first_kernel if model.second_kernel is None else model.second_kernel
-    assert _apart(dynamics / dynamics.sum(), simulated_blocks.kernel(LAGS)) < (0.15 if name == "lnl" else 0.03)
+    assert simulated_blocks.apart(dynamics / dynamics.sum(), simulated_blocks.kernel(LAGS)) < (
+        0.15 if name == "lnl" else 0.03
+    )
 
 
 @pytest.mark.parametrize("system", [*simulated_blocks.BLOCKS, "dpn"])
@@ -208,7 +206,7 @@ def test_the_basis_holds_smooth_responses_and_becomes_the_lags_themselves():
     basis = lag_basis(250, 3.5)
     assert basis.shape[1] < 40
     fitted = basis @ np.linalg.lstsq(basis, kernel, rcond=None)[0]
-    assert _apart(fitted, kernel) < 1e-3
+    assert simulated_blocks.apart(fitted, kernel) < 1e-3
     np.testing.assert_array_equal(lag_basis(6, 1.0), np.eye(6))
 
 

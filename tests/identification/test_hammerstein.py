@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from coded import Refusal, codes, refused
@@ -37,15 +35,11 @@ def model(bent: simulated_blocks.Simulated) -> HammersteinModel:
     return Hammerstein().fit(bent.record, FITTED)
 
 
-def _apart(ours: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.linalg.norm(ours - truth) / np.linalg.norm(truth))
-
-
 @pytest.mark.parametrize("form", ["polynomial", "spline", "exponential"])
 def test_an_exponential_before_the_dynamics_is_recovered(bent: simulated_blocks.Simulated, form: str):
     model = validated(Hammerstein.from_options({"nonlinearity": form}).fit(bent.record, FITTED), bent.record, HELD_OUT)
     assert model.kernel.sum() == pytest.approx(1.0)
-    assert _apart(model.kernel, simulated_blocks.kernel(LAGS)) < 0.02
+    assert simulated_blocks.apart(model.kernel, simulated_blocks.kernel(LAGS)) < 0.02
     force = np.linspace(-1.0, 7.0, 50)
     truth = simulated_blocks.exponential(force) - simulated_blocks.exponential(np.array([model.input_mean]))
     np.testing.assert_allclose(model.nonlinearity(force), truth, atol=0.01 * np.ptp(truth))
@@ -80,7 +74,7 @@ def test_a_square_is_found_though_it_turns_back_and_hides_its_linear_part(
     model = validated(
         Hammerstein.from_options({"nonlinearity": form}).fit(square.record, FITTED), square.record, HELD_OUT
     )
-    assert _apart(model.kernel, simulated_blocks.kernel(LAGS)) < 0.02
+    assert simulated_blocks.apart(model.kernel, simulated_blocks.kernel(LAGS)) < 0.02
     force = np.linspace(-5.0, 5.0, 50)
     truth = 1e-3 * (force**2 - model.input_mean**2)
     np.testing.assert_allclose(model.nonlinearity(force), truth, atol=0.01 * np.ptp(truth))
@@ -133,14 +127,14 @@ def test_gaps_are_skipped_and_joined_records_stay_apart(bent: simulated_blocks.S
     y = changed(record.output, (np.s_[3007:3200], 0.0))
     holed = Hammerstein().fit(Record(u, y, record.sample_rate_hz))
     assert holed.report.n_samples == 8000 - 249 - 7 - 249
-    assert _apart(holed.kernel, simulated_blocks.kernel(LAGS)) < 0.02
+    assert simulated_blocks.apart(holed.kernel, simulated_blocks.kernel(LAGS)) < 0.02
     simulated = holed.simulate(u)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(simulated)), np.arange(3000, 3007 + 249))
     second = simulated_blocks.simulate("hammerstein exponential", 6, n=3000).record
     both = joined([record[:3000], second])
     model = Hammerstein().fit(both)
     assert model.report.n_samples == 2 * (3000 - 249)
-    assert _apart(model.kernel, simulated_blocks.kernel(LAGS)) < 0.03
+    assert simulated_blocks.apart(model.kernel, simulated_blocks.kernel(LAGS)) < 0.03
 
 
 def test_simulation_rests_at_the_operating_point_before_the_record(model: HammersteinModel):
@@ -148,12 +142,10 @@ def test_simulation_rests_at_the_operating_point_before_the_record(model: Hammer
     np.testing.assert_allclose(output, model.offset, atol=1e-12)
 
 
-def test_the_report_can_be_written_and_options_come_back(model: HammersteinModel):
-    report = model.report.as_dict()
-    assert json.loads(json.dumps(report, allow_nan=False)) == report
-    assert {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"} <= set(report["parameters"])
-    assert report["n_parameters"] == int(model.report.details["kernel_functions"]) + 5
-    assert get_engine("hammerstein").from_options(report["options"]) == Hammerstein(memory=0.125, hold="band-limited")
+def test_parameters_are_counted_and_options_come_back(model: HammersteinModel):
+    assert model.report.n_parameters == int(model.report.details["kernel_functions"]) + 5
+    options = model.report.as_dict()["options"]
+    assert get_engine("hammerstein").from_options(options) == Hammerstein(memory=0.125, hold="band-limited")
 
 
 def test_other_units_get_plain_names(bent: simulated_blocks.Simulated):

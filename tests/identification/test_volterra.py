@@ -214,6 +214,7 @@ def test_contributions_add_up_and_follow_the_kernels(cubic: VolterraModel):
 
 
 def test_the_impulse_response_is_what_an_impulse_does(cubic: VolterraModel):
+    assert cubic.memory_samples == 9
     u = np.full(20, cubic.input_mean)
     u[4] += 0.7
     response = cubic.impulse_response(0.7)
@@ -221,18 +222,6 @@ def test_the_impulse_response_is_what_an_impulse_does(cubic: VolterraModel):
     np.testing.assert_allclose(
         response.total, response.zeroth + response.first + response.second + response.third, rtol=1e-12
     )
-
-
-def test_a_missing_input_leaves_its_memory_unknown_and_nothing_else(cubic: VolterraModel):
-    u = simulated.generator(12).standard_normal(400)
-    holed = changed(u, (200, np.nan))
-    output = cubic.simulate(holed)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(output)), np.arange(200, 200 + cubic.memory_samples))
-    known = np.isfinite(output)
-    np.testing.assert_allclose(output[known], cubic.simulate(u)[known])
-    assert cubic.memory_samples == 9
-    rest = cubic.simulate(np.full(50, cubic.input_mean))
-    np.testing.assert_allclose(rest, cubic.kernel0)
 
 
 def test_lags_are_spaced_by_what_the_input_can_tell():
@@ -362,13 +351,6 @@ def _noise(n: int) -> Array:
 @pytest.mark.parametrize(
     ("options", "record", "refusal"),
     [
-        ({}, Record(np.ones(3000), _noise(3000), 2000.0), Refusal("record.constant", signal="the input (force)")),
-        (
-            {},
-            Record(np.full(3000, np.nan), _noise(3000), 2000.0),
-            Refusal("record.no_sample", signal="the input (force)"),
-        ),
-        ({}, Record(_noise(3000), np.ones(3000), 2000.0), Refusal("record.constant", signal="the output (position)")),
         (
             {},
             Record(_noise(100), _noise(100), 2000.0),
