@@ -24,7 +24,7 @@ from tissueid.calibration import (
     stored_calibrations,
     write_calibration,
 )
-from tissueid.calibration.active import NO_REGION, NOT_CALIBRATED, corrections, warnings_of
+from tissueid.calibration.active import NO_REGION, NOT_CALIBRATED, corrections
 from tissueid.calibration.status import VARIABLE, status_for_device
 from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import Correction, Limits, SimulatedInstrument
@@ -61,7 +61,7 @@ def test_the_newest_that_passed_is_used():
     assert device.calibration["static_file"] == "static-20.toml"
     due = NOW + timedelta(days=90 - 20)
     assert device.calibration["valid_until"] == f"{due:%Y-%m-%d}"
-    (warning,) = warnings_of(device)
+    (warning,) = device.calibration_warnings
     assert says(warning, "calibration.about", file="static-3.toml")
     assert says(warning.values["warning"], "calibration.failed_because", problem="too noisy")
 
@@ -91,14 +91,16 @@ def test_each_has_its_status_and_reason(item, state, code):
     if state == "stale":
         assert device.calibration["state"] == "stale"
     if state not in ("valid", "foreign") or code == "calibration.other_model":
-        assert any(reason in warning for warning in warnings_of(device))
-        assert all(is_german(warning) for warning in warnings_of(device) if isinstance(warning, Message))
+        assert any(reason in warning for warning in device.calibration_warnings)
+        assert all(is_german(warning) for warning in device.calibration_warnings if isinstance(warning, Message))
 
 
 def test_a_static_calibration_and_a_sweep_that_disagree_are_flagged():
     device = apply_calibrations(DEVICE, [made(), made(5, "sweep", figures={"force_constant_n_per_a": 3.1})], NOW)
     assert device.force_constant_n_per_a == 2.9
-    assert says(message(warnings_of(device), "calibration.disagree"), "calibration.disagree", static=2.9, sweep=3.1)
+    assert says(
+        message(device.calibration_warnings, "calibration.disagree"), "calibration.disagree", static=2.9, sweep=3.1
+    )
 
 
 def test_it_is_told_in_a_line():
@@ -230,12 +232,12 @@ def test_a_date_that_is_none_does_without_an_age(date):
 def test_warnings_keep_their_codes_in_a_session(tmp_path):
     device = apply_calibrations(DEVICE, [made(100)], NOW)
     stored = replace(device, calibration=json.loads(json.dumps(device.calibration)))
-    assert warnings_of(stored) == warnings_of(device)
-    assert codes(warnings_of(stored)) == ["calibration.about", "calibration.no_region"]
-    assert says(warnings_of(stored)[0].values["warning"], "calibration.stale", valid_days=90)
+    assert stored.calibration_warnings == device.calibration_warnings
+    assert codes(stored.calibration_warnings) == ["calibration.about", "calibration.no_region"]
+    assert says(stored.calibration_warnings[0].values["warning"], "calibration.stale", valid_days=90)
 
 
 @pytest.mark.parametrize("hostile", ["no JSON", "3", '[{"code": 1}]', "[[]]", '{"a": 1}'])
 def test_damaged_or_old_warnings_are_texts(hostile):
     for stored in ({"warnings": "a; b"}, {"warnings": "a; b", "warning_messages": hostile}):
-        assert warnings_of(replace(DEVICE, calibration=stored)) == ("a", "b")
+        assert replace(DEVICE, calibration=stored).calibration_warnings == ("a", "b")

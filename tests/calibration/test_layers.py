@@ -18,7 +18,6 @@ from tissueid.calibration.active import (
     activate_calibration,
     corrections,
     use_static_calibration,
-    warnings_of,
 )
 from tissueid.calibration.file import CalibratedQuantity, utc_date
 from tissueid.calibration.status import first_implausible, label_of, problems_of
@@ -83,11 +82,11 @@ def test_a_calibration_of_a_few_steps_does_not_undo_a_complete_one(figures, name
         assert known[name] == value
     assert (known["static_file"], known["state"]) == ("static-20.toml", "valid")
     if figures:
-        warning = message(warnings_of(device), "calibration.completed")
+        warning = message(device.calibration_warnings, "calibration.completed")
         assert says(warning, "calibration.completed", file="static-3.toml", other="static-20.toml")
         assert warning.values["names"].items[: len(names)] == names
     else:
-        assert warnings_of(device) == (NO_REGION,)
+        assert device.calibration_warnings == (NO_REGION,)
 
 
 def test_the_deviation_of_a_figure_is_of_the_same_calibration():
@@ -99,7 +98,7 @@ def test_the_deviation_of_a_figure_is_of_the_same_calibration():
 def test_a_missing_figure_gives_a_warning():
     device = apply_calibrations(DEVICE, [partial(3, coil_resistance_ohm=12.1)], NOW)
     assert device.force_constant_n_per_a == DEVICE.force_constant_n_per_a
-    warning = message(warnings_of(device), "calibration.nominal_used")
+    warning = message(device.calibration_warnings, "calibration.nominal_used")
     assert warning.values["names"].items == (label_of("force_constant_n_per_a"), label_of("current_offset_a"))
 
 
@@ -110,7 +109,7 @@ def test_needed_figures_of_a_stale_one_make_it_stale_and_others_do_not():
     assert device.calibration["state"] == "valid"
     assert device.calibration["static_file"] == "static-3.toml"
     assert device.calibration["temperature_offset_c"] == 1.5
-    warning = message(warnings_of(device), "calibration.completed_by_stale")
+    warning = message(device.calibration_warnings, "calibration.completed_by_stale")
     assert says(warning, "calibration.completed_by_stale", other="static-200.toml")
     assert warning.values["reason"].values["days"] == pytest.approx(200.0)
 
@@ -121,9 +120,9 @@ def test_different_calibrations_of_one_date_give_a_warning():
     for stored in ([one, other], [other, one]):
         device = apply_calibrations(DEVICE, stored, NOW)
         assert device.coil_resistance_ohm == 12.6
-        assert says(warnings_of(device)[0], "calibration.same_time", used="b.toml", other="a.toml")
+        assert says(device.calibration_warnings[0], "calibration.same_time", used="b.toml", other="a.toml")
     copy = replace(one, path=one.path.with_name("b.toml"))
-    assert warnings_of(apply_calibrations(DEVICE, [one, copy], NOW)) == (NO_REGION,)
+    assert apply_calibrations(DEVICE, [one, copy], NOW).calibration_warnings == (NO_REGION,)
 
 
 def swept(static=None, **conditions):
@@ -136,18 +135,20 @@ def swept(static=None, **conditions):
 def test_a_sweep_under_another_position_scale_gives_a_warning():
     old, new = full(), made(2, figures=CHANNELS | {"position_offset_m": 500e-6})
     scale = {"position_gain": 1.01, "position_offset_m": 150e-6}
-    assert warnings_of(apply_calibrations(DEVICE, [old, swept(old, **scale)], NOW)) == ()
-    assert warnings_of(apply_calibrations(DEVICE, [old, swept(old)], NOW)) == ()
+    assert apply_calibrations(DEVICE, [old, swept(old, **scale)], NOW).calibration_warnings == ()
+    assert apply_calibrations(DEVICE, [old, swept(old)], NOW).calibration_warnings == ()
     device = apply_calibrations(DEVICE, [old, new, swept(old, **scale)], NOW)
-    shifted = message(warnings_of(device), "calibration.region_shifted")
+    shifted = message(device.calibration_warnings, "calibration.region_shifted")
     assert shifted.values["static"] == "static-20.toml"
     assert shifted.values["shift"].value == pytest.approx(0.35, abs=0.005)
     nearly = made(2, figures=CHANNELS | {"position_offset_m": 200e-6})
-    assert warnings_of(apply_calibrations(DEVICE, [old, nearly, swept(old, **scale)], NOW)) == ()
+    assert apply_calibrations(DEVICE, [old, nearly, swept(old, **scale)], NOW).calibration_warnings == ()
     device = apply_calibrations(DEVICE, [old, new, swept(old)], NOW)
-    assert "calibration.region_unsure" in codes(warnings_of(device))
+    assert "calibration.region_unsure" in codes(device.calibration_warnings)
     device = apply_calibrations(DEVICE, [new, swept()], NOW)
-    assert message(warnings_of(device), "calibration.region_shifted").values["static"] == "no static calibration"
+    assert (
+        message(device.calibration_warnings, "calibration.region_shifted").values["static"] == "no static calibration"
+    )
 
 
 def test_a_sweep_carries_the_static_calibration_that_corrected_it(tmp_path):
@@ -168,7 +169,7 @@ def test_a_sweep_carries_the_static_calibration_that_corrected_it(tmp_path):
     assert corrections(device)["acceleration_x"] == Correction(1.03, 0.2)
     assert device.calibration["static_file"] == "s.toml"
     assert not any("force_constant" in name for name in device.calibration)
-    assert warnings_of(device) == ()
+    assert device.calibration_warnings == ()
 
 
 def test_without_a_static_calibration_a_sweep_carries_none(tmp_path):

@@ -12,7 +12,7 @@ from platformdirs import user_log_path
 
 from tissueid.acquisition.journal import JournalError, journal_path
 from tissueid.atomic_write import private_folder, write_private
-from tissueid.calibration.active import calibration_summary, warnings_of
+from tissueid.calibration.active import calibration_summary
 from tissueid.calibration.file import CalibratedQuantity
 from tissueid.calibration.status import readable
 from tissueid.device import DeviceDescription
@@ -132,7 +132,7 @@ class CalibrationState:
 def calibration_state(device: DeviceDescription, now: datetime | None = None) -> CalibrationState:
     """Return the state of a device's calibration; ``now`` is timezone-aware."""
     good = device.calibration.get("state") == "valid"
-    warnings = tuple(sentence(translated(line)) for line in warnings_of(device))
+    warnings = tuple(sentence(translated(line)) for line in device.calibration_warnings)
     words = sentence(translated(calibration_summary(device, now))).removesuffix(".")
     until = str(device.calibration.get("valid_until", ""))
     return CalibrationState(words, "good" if good else "check", warnings, until)

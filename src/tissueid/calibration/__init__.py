@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         activate_calibration,
         apply_calibrations,
         calibration_summary,
-        warnings_of,
     )
     from tissueid.calibration.coil import ElectricalCheck, check_coil
     from tissueid.calibration.file import (
@@ -43,7 +42,6 @@ else:
                 "activate_calibration",
                 "calibration_summary",
                 "apply_calibrations",
-                "warnings_of",
             ),
             "plans": ("StaticPlan",),
             "static_procedure": ("StaticCalibration", "calibrate_static"),
@@ -78,6 +76,5 @@ __all__ = [
     "read_calibration",
     "save_calibration",
     "stored_calibrations",
-    "warnings_of",
     "write_calibration",
 ]

@@ -51,15 +51,6 @@ class UsedCalibration:
         """Date of the calibration."""
         return self.calibration.made
 
-    @property
-    def valid_until(self) -> datetime:
-        """When the next calibration is due."""
-        return self.made + timedelta(days=self.calibration.valid_days)
-
-    def differs(self, other: Calibration) -> bool:
-        """Return whether another calibration has other quantities."""
-        return self.calibration.quantities != other.quantities
-
 
 def number_or_default(known: Mapping[str, float | str], name: str | None, default: float) -> float:
     """Return the finite number stored under a name, or ``default``."""
@@ -86,7 +77,9 @@ def merge_calibrations(
         return replace(nominal, calibration=refused) if warnings else nominal
     known: dict[str, float | str] = {"state": "valid", "verdict": "passed"}
     found = _sources(statics)
-    base = _main_calibration(statics, found)
+    # The main static calibration is the oldest source of a required quantity.
+    giving = [found[name] for name in REQUIRED_QUANTITIES if name in found]
+    base = min(giving, key=lambda item: item.made, default=next(iter(statics), None))
     for item in sweeps:
         known |= {"sweep_file": item.file, "sweep_date": item.calibration.date}
         for name in _effective_quantities(item.calibration):
@@ -98,7 +91,8 @@ def merge_calibrations(
         warnings += _completion_warnings(base, found)
     used = [*([base] if base is not None else []), *sweeps]
     if used:
-        known["valid_until"] = min(item.valid_until for item in used).strftime("%Y-%m-%d")
+        due = min(item.made + timedelta(days=item.calibration.valid_days) for item in used)
+        known["valid_until"] = due.strftime("%Y-%m-%d")
     for item in used:
         if item.state == "stale":
             known["state"] = "stale"
@@ -165,14 +159,6 @@ def _sources(statics: Sequence[UsedCalibration]) -> dict[str, UsedCalibration]:
         for name in _effective_quantities(item.calibration):
             found.setdefault(name, item)
     return found
-
-
-def _main_calibration(
-    statics: Sequence[UsedCalibration], found: Mapping[str, UsedCalibration]
-) -> UsedCalibration | None:
-    """Return the main static calibration: the oldest source of a quantity in ``REQUIRED_QUANTITIES``."""
-    giving = [found[name] for name in REQUIRED_QUANTITIES if name in found]
-    return min(giving, key=lambda item: item.made) if giving else next(iter(statics), None)
 
 
 def _completion_warnings(base: UsedCalibration, found: Mapping[str, UsedCalibration]) -> list[str]:
@@ -259,25 +245,19 @@ def _disagreement_warnings(
 
 def _shift_m(made_under: Mapping[str, float | str], known: Mapping[str, float | str]) -> float:
     """Return the shift of the ends of a linear region since the sweep, m; NaN if unknown."""
-    dates = made_under.get("static_date"), known.get("static_date")
-    if dates[0] is not None and dates[0] != dates[1] and not any(name in made_under for name in POSITION_QUANTITIES):
-        return float("nan")
-    if dates[0] is not None and dates[0] == dates[1] and not any(name in made_under for name in POSITION_QUANTITIES):
-        return 0.0
+    date = made_under.get("static_date")
+    if date is not None and not any(name in made_under for name in POSITION_QUANTITIES):
+        return 0.0 if date == known.get("static_date") else float("nan")
     ends = [number_or_default(known, f"linear_region_{end}_m", np.nan) for end in ("min", "max")]
     readings = np.array([end for end in ends if np.isfinite(end)])
     if not readings.size:
         return 0.0
-    readings = readings * number_or_default(made_under, POSITION_QUANTITIES[0], 1.0) + number_or_default(
-        made_under, POSITION_QUANTITIES[1], 0.0
+    (gain, offset), (gain_now, offset_now) = (
+        [number_or_default(scale, name, default) for name, default in zip(POSITION_QUANTITIES, (1.0, 0.0), strict=True)]
+        for scale in (made_under, known)
     )
-    now = (readings - number_or_default(known, POSITION_QUANTITIES[1], 0.0)) / number_or_default(
-        known, POSITION_QUANTITIES[0], 1.0
-    )
-    before = (readings - number_or_default(made_under, POSITION_QUANTITIES[1], 0.0)) / number_or_default(
-        made_under, POSITION_QUANTITIES[0], 1.0
-    )
-    return float(np.abs(now - before).max())
+    readings = readings * gain + offset
+    return float(np.abs((readings - offset_now) / gain_now - (readings - offset) / gain).max())
 
 
 _CHANNELS = {
@@ -330,7 +310,7 @@ def activate_calibration(
     stored = stored_calibrations(calibration_folder(folder)) if wanted else ()
     device = apply_calibrations(instrument.nominal, stored, now)
     instrument.use_calibration(device, corrections(device))
-    return ActiveCalibration(device, calibration_summary(device, now), warnings_of(device))
+    return ActiveCalibration(device, calibration_summary(device, now), device.calibration_warnings)
 
 
 def use_static_calibration(
@@ -353,7 +333,7 @@ def use_static_calibration(
     ]
     known = apply_calibrations(nominal, stored, now or datetime.now(UTC))
     kept = {name: value for name, value in known.calibration.items() if not name.endswith(_EXCLUDED_FROM_SWEEP)}
-    if warnings := [line for line in warnings_of(known) if line != NO_REGION]:
+    if warnings := [line for line in known.calibration_warnings if line != NO_REGION]:
         kept |= warning_entries(warnings)
     device = replace(nominal, coil_resistance_ohm=known.coil_resistance_ohm, calibration=kept)
     instrument.use_calibration(device, corrections(device))
@@ -385,7 +365,11 @@ def apply_calibrations(nominal: DeviceDescription, stored: Sequence[Stored], now
             continue
         before = used[calibration.kind]
         if state in ("valid", "stale"):
-            if before and before[0].made == calibration.made and before[0].differs(calibration):
+            if (
+                before
+                and before[0].made == calibration.made
+                and before[0].calibration.quantities != calibration.quantities
+            ):
                 warnings.append(
                     Message(
                         "calibration.same_time",
@@ -413,11 +397,6 @@ def corrections(device: DeviceDescription) -> dict[str, Correction]:
         if correction != Correction():
             found[channel] = correction
     return found
-
-
-def warnings_of(device: DeviceDescription) -> tuple[str, ...]:
-    """Return the warnings about the calibration in a device description."""
-    return device.calibration_warnings
 
 
 def _age(date: str, now: datetime) -> Message:

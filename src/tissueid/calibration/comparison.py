@@ -212,29 +212,20 @@ def compare_sweeps(first: Calibration, second: Calibration) -> CalibrationCompar
     if {first.kind, second.kind} != {"sweep"}:
         raise UnusableInputError("drift.not_sweeps", "only sweeps can be compared along the stroke: choose two sweeps")
     before, now = sorted((first, second), key=lambda item: item.made)
-    found = tuple(
-        _difference(name, before, now)
-        for name in COMPARED_QUANTITIES
-        if name in before.quantities and name in now.quantities and _is_comparable(before, now, name)
-    )
+    found = []
+    for name in COMPARED_QUANTITIES:
+        was, is_now = before.quantities.get(name), now.quantities.get(name)
+        if was is not None and is_now is not None and max(abs(was.value), abs(is_now.value)) < _MAX_VALUE:
+            noise = _joint_std(_calibration_noise(name, before), _calibration_noise(name, now))
+            found.append(CalibrationDifference(name, was, is_now, noise, _joint_std(was.std, is_now.std)))
     common, mean, largest, where = _profile_difference(before, now)
-    return CalibrationComparison(before, now, found, common, mean, largest, where, tuple(_remarks(before, now)))
+    remarks = tuple(_remarks(before, now))
+    return CalibrationComparison(before, now, tuple(found), common, mean, largest, where, remarks)
 
 
-def _is_comparable(before: Calibration, now: Calibration, name: str) -> bool:
-    return max(abs(before.quantities[name].value), abs(now.quantities[name].value)) < _MAX_VALUE
-
-
-def _difference(name: str, before: Calibration, now: Calibration) -> CalibrationDifference:
-    one, other = before.quantities[name], now.quantities[name]
-    uncertainty = None if one.std is None or other.std is None else math.hypot(one.std, other.std)
-    return CalibrationDifference(name, one, other, _noise(name, before, now), uncertainty)
-
-
-def _noise(name: str, before: Calibration, now: Calibration) -> float | None:
-    """Return the standard deviation of the difference of two sweeps due to noise; None if unknown."""
-    own = [_calibration_noise(name, calibration) for calibration in (before, now)]
-    return None if own[0] is None or own[1] is None else math.hypot(own[0], own[1])
+def _joint_std(first: float | None, second: float | None) -> float | None:
+    """Return the standard deviation of a difference from those of both values; None if one is unknown."""
+    return None if first is None or second is None else math.hypot(first, second)
 
 
 def _calibration_noise(name: str, calibration: Calibration) -> float | None:

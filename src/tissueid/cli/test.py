@@ -13,7 +13,7 @@ from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.playback import Progress
 from tissueid.acquisition.quality import quality_of
-from tissueid.calibration.active import calibration_summary, warnings_of
+from tissueid.calibration.active import calibration_summary
 from tissueid.cli.output import ConsoleControl, Output, console, progress_bars, table
 from tissueid.cli.saved_tests import recorded_findings
 from tissueid.cli.stop_key import StopKey, stop_key
@@ -92,7 +92,7 @@ def _print_result(plan: TestPlan, session: Session, out: Output) -> None:
     out.widen(120)
     out.print(f"session: {plan.out}")
     out.print(f"instrument: {calibration_summary(session.instrument)}")
-    out.print_lines(f"calibration: {warning}" for warning in warnings_of(session.instrument))
+    out.print_lines(f"calibration: {warning}" for warning in session.instrument.calibration_warnings)
     out.print(tests_table(session.tests, plan.depth_range_m))
     for test in session.tests:
         lost = test.notes.get("samples_lost")

@@ -55,10 +55,26 @@ def read_session(path: Path) -> Session:
     Raises:
         SessionFormatError: missing, not a session, or not in accordance with the format.
     """
+    return whole_session(session_parts(path))
+
+
+def session_parts(path: Path) -> Iterator[Any]:
+    """Yield a session without its tests, and then each test.
+
+    Raises:
+        SessionFormatError: missing, not a session, or not in accordance with the format.
+    """
     with opened(path) as file:
-        session = read_all_but_tests(file)
+        yield read_all_but_tests(file)
         tests = subgroup(file, "tests")
-        return replace(session, tests=tuple(read_numbered(name, subgroup(tests, name)) for name in sorted(tests)))
+        yield from (read_numbered(name, subgroup(tests, name)) for name in sorted(tests))
+
+
+def whole_session(parts: Iterable[Any]) -> Session:
+    """Return the session of ``session_parts``."""
+    head, *tests = parts
+    session: Session = replace(head, tests=tuple(tests))
+    return session
 
 
 def read_session_head(path: Path) -> Session:

@@ -24,7 +24,7 @@ from typing import IO, Any
 from tissueid.child_process import start
 from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.messages import Action, Message
-from tissueid.sessions import hdf5_mat, hdf5_members, hdf5_session
+from tissueid.sessions import hdf5_mat, hdf5_session
 from tissueid.sessions.file_policy import check_session_file
 from tissueid.sessions.model import Outline, Session, Test
 from tissueid.untrusted_input import MEMORY_BYTES, allowed_seconds
@@ -40,12 +40,8 @@ _KEPT = 100_000_000
 """Growth of a child's memory, bytes, above which it is replaced after the file."""
 
 
-def _slow(path: Path) -> Message:
-    return Message("session.slow", "{path} is damaged: it takes too long to be read", path=str(path))
-
-
-def _crashed(path: Path) -> Message:
-    return Message("session.crashed", "{path} is damaged: it ends the reading process", path=str(path))
+_SLOW = Message("session.slow", "{path} is damaged: it takes too long to be read")
+_CRASHED = Message("session.crashed", "{path} is damaged: it ends the reading process")
 
 
 def _renamed(value: Any, old: str, new: str) -> Any:
@@ -81,8 +77,8 @@ class ReaderProcess:
             try:
                 return self._ask(pickle.dumps((task, absolute, self._seconds(path.stat().st_size), arguments)))
             except (EOFError, OSError, pickle.UnpicklingError) as error:
-                timed_out = self._ended() == _TIMED_OUT
-                raise SessionFormatError(_slow(path) if timed_out else _crashed(path)) from error
+                reason = _SLOW if self._ended() == _TIMED_OUT else _CRASHED
+                raise SessionFormatError(reason.code, reason.template, path=str(path)) from error
             except UnusableInputError as error:
                 raise type(error)(_renamed(error.message, str(absolute), str(path))) from error
             except BaseException:
@@ -174,34 +170,15 @@ def read_in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
     return _reader.read(task, path, *arguments)
 
 
-def _session(path: Path) -> Iterator[Any]:
-    with hdf5_members.opened(path) as opened:
-        yield hdf5_session.read_all_but_tests(opened)
-        tests = hdf5_members.subgroup(opened, "tests")
-        for name in sorted(tests):
-            yield hdf5_session.read_numbered(name, hdf5_members.subgroup(tests, name))
-
-
-def _head(path: Path) -> Iterator[Any]:
-    yield hdf5_session.read_session_head(path)
-
-
-def _outline(path: Path) -> Iterator[Any]:
-    yield hdf5_session.read_outline(path)
-
-
-def _test(path: Path, number: int) -> Iterator[Any]:
-    yield hdf5_session.read_test(path, number)
-
-
-_TASKS: dict[str, Callable[..., Iterator[Any]]] = {
-    "session": _session,
-    "head": _head,
-    "outline": _outline,
-    "test": _test,
+_TASKS: dict[str, Callable[..., Any]] = {
+    "session": hdf5_session.session_parts,
+    "head": hdf5_session.read_session_head,
+    "outline": hdf5_session.read_outline,
+    "test": hdf5_session.read_test,
     "MAT vectors": hdf5_mat.hdf5_vectors,
     "MAT values": hdf5_mat.hdf5_values,
 }
+"""Functions of a path and further arguments; each returns one result, or yields several."""
 
 
 # -- the child ------------------------------------------------------------------------------------------------
@@ -231,7 +208,8 @@ def _served(
 ) -> tuple[str, Exception | str | None]:
     try:
         _end_after(seconds)
-        for item in _TASKS[task](path, *arguments):
+        found = _TASKS[task](path, *arguments)
+        for item in found if isinstance(found, Iterator) else (found,):
             _send(outgoing, "item", item)
             _end_after(seconds)
     except UnusableInputError as error:
@@ -290,9 +268,7 @@ def read_session(path: Path) -> Session:
     Raises:
         SessionFormatError: missing, not a session, or not in accordance with the format or a limit.
     """
-    head, *tests = _read("session", path)
-    session: Session = replace(head, tests=tuple(tests))
-    return session
+    return hdf5_session.whole_session(_read("session", path))
 
 
 def read_session_head(path: Path) -> Session:
@@ -301,8 +277,7 @@ def read_session_head(path: Path) -> Session:
     Raises:
         SessionFormatError: as ``read_session``.
     """
-    (head,) = _read("head", path)
-    assert isinstance(head, Session)
+    head: Session = _read("head", path)[0]
     return head
 
 
@@ -312,8 +287,7 @@ def read_outline(path: Path) -> Outline:
     Raises:
         SessionFormatError: as ``read_session``.
     """
-    (outline,) = _read("outline", path)
-    assert isinstance(outline, Outline)
+    outline: Outline = _read("outline", path)[0]
     return outline
 
 
@@ -323,8 +297,7 @@ def read_test(path: Path, number: int) -> Test:
     Raises:
         SessionFormatError: as ``read_session``, or there is no such test.
     """
-    (test,) = _read("test", path, number)
-    assert isinstance(test, Test)
+    test: Test = _read("test", path, number)[0]
     return test
 
 
