@@ -170,16 +170,6 @@ def test_lost_samples_are_passed_over():
     assert found.force_constant.at(places) == pytest.approx(TRUE.k(places), rel=0.015)
 
 
-def test_repeats_are_analysed_alone_and_together():
-    tests = [*swept(TRUE, FEW, 1.0, 1), *swept(TRUE, FEW, 1.0, 2, sweep=1)]
-    found = analyse_sweep(tests, NOMINAL)
-    assert [len(run.points) for run in found.repeats] == [5, 5]
-    assert len(found.points) == 10
-    one, other = (run.region.plateau_n_per_a.value for run in found.repeats)
-    assert one != other
-    assert min(one, other) - 0.01 <= found.region.plateau_n_per_a.value <= max(one, other) + 0.01
-
-
 @pytest.mark.parametrize(
     ("places", "code", "values"),
     [
@@ -342,12 +332,15 @@ def test_samples_lost_in_between_everywhere_are_refused():
         analyse_sweep(tests, NOMINAL)
 
 
-def test_a_weak_repeat_gives_a_remark_and_counts_with_the_others():
-    tests = [*recorded(TRUE, tuple(FEW)), *(replace(test, sweep=1) for test in swept(TRUE, FEW[:3], 1.0, 3))]
-    tests += [replace(test, sweep=2) for test in swept(TRUE, FEW, 1.0, 4)]
+def test_repeats_are_analysed_alone_and_together_and_a_weak_one_gives_a_remark():
+    tests = [*swept(TRUE, FEW, 1.0, 1), *swept(TRUE, FEW[:3], 1.0, 3, sweep=1), *swept(TRUE, FEW, 1.0, 4, sweep=2)]
     found = analyse_sweep(tests, NOMINAL, remarks=("one before",))
     assert found.passed
-    assert [run.runs for run in found.repeats] == [(1,), (3,)]
+    assert [(run.runs, len(run.points)) for run in found.repeats] == [((1,), 5), ((3,), 5)]
+    assert len(found.points) == 13
+    first, last = (run.region.plateau_n_per_a.value for run in found.repeats)
+    assert first != last
+    assert min(first, last) - 0.01 <= found.region.plateau_n_per_a.value <= max(first, last) + 0.01
     assert found.remarks[0] == "one before"
     assert says(found.remarks[1], "sweep.weak_run", run=2)
     assert found.remarks[1].values["reason"].code == "sweep.too_few"

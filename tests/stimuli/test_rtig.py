@@ -68,7 +68,7 @@ class Noise:
         return 3e-3 + 3e-3 * self._random.standard_normal(force.size)
 
 
-@pytest.mark.parametrize("lead", [1, 2, 3])
+@pytest.mark.parametrize("lead", [1, pytest.param(2, marks=pytest.mark.soak), 3])
 @pytest.mark.parametrize("name", PLANTS)
 def test_all_depths_of_the_test_are_uniform_with_identification(name: str, lead: int):
     outcome = closed_loop(kind(lead=lead, seed=lead), PLANTS[name](), lead)
