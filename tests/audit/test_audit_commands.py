@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from tissueid.audit import (
     last_lines,
     verify,
 )
-from tissueid.audit.line import fields_of, make_line
+from tissueid.audit.line import make_line
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError
@@ -219,7 +220,7 @@ def test_a_hundred_thousand_lines_are_verified_in_seconds(tmp_path):
     last = last_lines(log.path, 1)[0]
     with log.path.open("ab") as file:
         while last.number < 100_000:
-            fields = fields_of(last) | {"number": last.number + 1, "previous": last.hash}
+            fields = asdict(last) | {"number": last.number + 1, "previous": last.hash}
             del fields["hash"]
             last, raw = make_line(**fields)
             file.write(raw)

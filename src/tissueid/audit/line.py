@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 NOTHING_BEFORE = "0" * 64
@@ -90,11 +90,6 @@ def is_torn(raw: bytes, number: int) -> bool:
         return True  # some file systems allocate the space first and fill it later
     start = f'{{"number":{number},"time":"'.encode()
     return raw[: len(start)] == start[: len(raw)] and _HASH.search(raw) is None
-
-
-def fields_of(line: LogLine) -> dict[str, Any]:
-    """Return the fields of a line for JSON."""
-    return asdict(line)
 
 
 def plain(value: Any) -> Any:

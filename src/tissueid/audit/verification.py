@@ -351,7 +351,8 @@ class _Walk:
         """Return the damage where the bytes in place of line ``number`` do not have a correct hash."""
         place = self._place
         following = later.get(number)
-        if following is not None and self._continues(following):
+        before = NOTHING_BEFORE if self.last is None else self.last.hash
+        if following is not None and following.previous == before:
             words = Message("audit.inserted", "the text before line {line} is not part of the log", line=number)
             return Broken(place, LogDamage.INSERTED, words)
         if number == 1 and not later:
@@ -363,9 +364,6 @@ class _Walk:
         else:
             words = Message("audit.changed", "line {line} was changed: its hash is wrong", line=number)
         return Broken(place, LogDamage.CHANGED, words)
-
-    def _continues(self, line: LogLine) -> bool:
-        return line.previous == (NOTHING_BEFORE if self.last is None else self.last.hash)
 
     def _after(self, place: int) -> Iterator[LogLine]:
         """Yield the lines with a correct hash after a place."""

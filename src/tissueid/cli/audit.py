@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import Any
 
-from tissueid.audit.line import fields_of
 from tissueid.cli.output import Output, table
 from tissueid.errors import UnusableInputError
 from tissueid.messages import stored
@@ -39,7 +39,7 @@ def print_lines(plan: LogPlan, out: Output) -> None:
         UnusableInputError: there is no log.
     """
     path, lines = newest_lines(plan)
-    out.write_json([fields_of(line) for line in lines])
+    out.write_json([asdict(line) for line in lines])
     out.widen(160)
     if out.json_on_stdout:
         return

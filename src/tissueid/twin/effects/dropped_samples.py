@@ -88,7 +88,7 @@ def losses_in_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int
             gain, offset = _line(shifted[rows, path - lags[0]], voltage)
             left = voltage[:, None] - gain * shifted - offset
             before = min(before, float(np.nanmin(np.nanmean(left**2, axis=0))))
-            path = _lag_path(left, lags, JUMP_COST)
+            path = _min_cost_path(_costs(left), lags, JUMP_COST)
         found.append((float(np.nanmean(left[rows, path - lags[0]] ** 2)), path))
     after, path = min(found, key=lambda one: one[0])
     missing = _missing(voltage)
@@ -209,12 +209,8 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     return float(gain), float(offset)
 
 
-def _lag_path(left: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
-    """Return the lag at each sample from the errors at each lag, shape (n, lags), NaN where not received."""
-    return _min_cost_path(_costs(left), lags, jump_cost)
-
-
 def _min_cost_path(costs: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
+    """Return the lag at each sample from the costs of each lag, shape (n, lags)."""
     path: IntArray = _path(costs, jump_cost) + lags[0]
     return path
 

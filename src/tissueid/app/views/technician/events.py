@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 from tissueid.app.words import sentence
 from tissueid.atomic_write import atomic_file
 from tissueid.audit import LogLine
-from tissueid.audit.line import MAX_LINE, fields_of, read_line
+from tissueid.audit.line import MAX_LINE, read_line
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import cell_text, clean, grouped, plain_text
 from tissueid.instrument.replies import FAULT_TEXTS
@@ -144,7 +144,7 @@ def write_csv(path: Path, log: Path, lines: Sequence[LogLine], cancelled: Callab
             for number, line in enumerate(lines):
                 if number % _LOOK == 0:
                     cancelled()
-                fields = fields_of(line)
+                fields = asdict(line)
                 table.writerow([_cell(fields[name]) for name in COLUMNS])
     except OSError as error:
         raise UnusableInputError(
