@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from coded import made, message, says, shows
-from shell import complaint
+from shell import answer, complaint
 
 from tissueid.calibration import read_calibration, save_calibration, write_calibration
 from tissueid.calibration.file import utc_date
@@ -56,8 +56,7 @@ def test_without_a_file_a_calibration_goes_where_tests_look_for_it(tmp_path, mon
     assert made.parent == tmp_path / "home" / "tissueid" / "calibration_data"
     monkeypatch.chdir("/")
     capsys.readouterr()
-    assert main(["calibrate", "list", "--json", "-"]) == 0
-    assert [row["file"] for row in json.loads(capsys.readouterr().out)["calibrations"]] == [str(made)]
+    assert [row["file"] for row in answer(capsys, "calibrate", "list")["calibrations"]] == [str(made)]
     elsewhere = tmp_path / "calibration_data" / "b.toml"
     assert main([*STATIC, "--steps", "temperature", "--out", str(elsewhere)]) == 0
     assert str(made.parent) in capsys.readouterr().out  # where to copy it, so that tests find it
@@ -69,8 +68,7 @@ def test_show_tells_it(kept, capsys):
     assert "Coil resistance" in out
     assert shows(out, "calibration.verdict.passed")
     assert "<svg" in (kept / "again.html").read_text()
-    assert main(["calibrate", "show", str(kept / "a.toml"), "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out)["kind"] == "static"
+    assert answer(capsys, "calibrate", "show", str(kept / "a.toml"))["kind"] == "static"
 
 
 def test_list_tells_the_state_of_each(kept, tmp_path, capsys):

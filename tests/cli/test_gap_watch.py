@@ -97,7 +97,7 @@ class Counted(Control):
 
 
 def watch(folder: Path, control: Control) -> object:
-    return watch_folder(WatchPlan(folder=folder, twin=folder.parent / "arm.toml", workers=1), control).history
+    return watch_folder(WatchPlan(folder=folder, twin=folder.parent / "arm.toml", workers=1), control)
 
 
 def batch(folder: Path, control: Control) -> object:
@@ -180,7 +180,7 @@ def test_a_session_that_cannot_be_used_is_listed_with_its_reason(watched: Path, 
     others = files_that_never_end(folder)
     page = tmp_path / "page.html"
     plan = WatchPlan(folder=folder, twin=watched.parent / "arm.toml", workers=1, report=page)
-    history = watch_folder(plan, Control()).history
+    history = watch_folder(plan, Control())
     assert page.is_file()
     assert [entry.file for entry in history.entries] == ["other.h5", "b-\udce9.h5", *sorted(others)]
     assert history.first_grown is None

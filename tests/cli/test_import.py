@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from coded import shows
 from outside_data import REAL
-from shell import complaint
+from shell import answer, complaint
 
 from tissueid.cli import main
 from tissueid.sessions import Session, Test, read_session, write_session
@@ -32,15 +32,13 @@ def table(tmp_path):
 
 def test_import_then_identify(table, tmp_path, capsys):
     out = tmp_path / "s.h5"
-    assert main(["import", str(table), "--out", str(out), *MAP, "--json", "-"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    (told,) = answer["tests"]
+    found = answer(capsys, "import", str(table), "--out", str(out), *MAP)
+    (told,) = found["tests"]
     assert (told["test"], told["samples"], told["sample_rate_hz"], told["rows"]) == (1, 1500, 1000.0, [0, 1500])
     assert told["signals"]["position"]["column"] == "disp"
     assert told["signals"]["position"]["unit"] == "mm"
-    assert answer["session_id"] == read_session(out).session_id
-    assert main(["identify", str(out), "--engine", "lms", "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out)["vaf_validation_percent"] > 99
+    assert found["session_id"] == read_session(out).session_id
+    assert answer(capsys, "identify", str(out), "--engine", "lms")["vaf_validation_percent"] > 99
 
 
 def test_every_file_argument_is_one_test(table, tmp_path):
@@ -78,10 +76,9 @@ def test_bare_input_and_output(table, tmp_path, capsys):
         notes = file["tests/0001"].attrs
         assert json.loads(notes["source_columns"])["input"] == {"column": "force", "unit": "mV"}
     capsys.readouterr()
-    assert main(["identify", str(out), "--engine", "lms", "--json", "-"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["vaf_validation_percent"] > 99
-    assert "stiffness_n_per_m" not in answer["parameters"]
+    found = answer(capsys, "identify", str(out), "--engine", "lms")
+    assert found["vaf_validation_percent"] > 99
+    assert "stiffness_n_per_m" not in found["parameters"]
     record = read_session(out).test().record()
     assert (record.input_name, record.input_unit, record.output_name, record.output_unit) == (
         "input",
@@ -161,8 +158,7 @@ def test_export_and_back(table, tmp_path, capsys):
     for kind in ("csv", "mat"):
         folder = tmp_path / kind
         capsys.readouterr()
-        assert main(["export", str(out), "--out", str(folder), "--format", kind, "--json", "-"]) == 0
-        files = json.loads(capsys.readouterr().out)["files"]
+        files = answer(capsys, "export", str(out), "--out", str(folder), "--format", kind)["files"]
         assert sorted(files) == sorted(path.name for path in folder.iterdir())
         assert main(["import", *map(str, sorted(folder.glob(f"*.{kind}"))), "--out", str(again)]) == 0
         first, second = read_session(out), read_session(again)
@@ -217,6 +213,6 @@ def test_the_real_records(tmp_path, capsys):
     roles = ["--map", "input=V1:V", "--map", "output=V2:V", "--rate", "610.3515625", "--out", str(tmp_path / "t.h5")]
     assert main(["import", f"{box}@60000:63000", *roles]) == 0
     capsys.readouterr()
-    assert main(["identify", str(tmp_path / "t.h5"), "--engine", "lms", "--json", "-"]) == 0
-    natural = json.loads(capsys.readouterr().out)["parameters"]["natural_frequency_rad_per_s"]["value"] / (2 * math.pi)
+    found = answer(capsys, "identify", str(tmp_path / "t.h5"), "--engine", "lms")["parameters"]
+    natural = found["natural_frequency_rad_per_s"]["value"] / (2 * math.pi)
     assert 65 < natural < 75

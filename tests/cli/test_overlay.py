@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
-from shell import complaint
+from shell import answer, complaint
 
 from tissueid.cli import main
 from tissueid.sessions import write_session
@@ -65,8 +65,7 @@ def test_a_site_is_a_text_and_nothing_else(tmp_path: Path, capsys: pytest.Captur
 
 def test_a_pattern_and_joined_tests(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
     pattern = files[0].parent / "*.h5"
-    assert main(["overlay", str(pattern), f"both={files[0]}:1+2", "--fit", FIT, "--json", "-"]) == 0
-    fits = json.loads(capsys.readouterr().out)["fits"]
+    fits = answer(capsys, "overlay", str(pattern), f"both={files[0]}:1+2", "--fit", FIT)["fits"]
     assert [(one["source"], one["tests"]) for one in fits] == [
         ("left arm", [1]), ("right arm", [1]), ("both", [1, 2]),
     ]  # fmt: skip
@@ -76,8 +75,7 @@ def test_repeats_give_mean_and_deviation_by_site(
     files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = tmp_path / "repeats.csv"
-    assert main([*map(str, ("repeats", *files, "--fit", FIT, "--csv", table, "--json", "-"))]) == 0
-    found = json.loads(capsys.readouterr().out)["repeats"]
+    found = answer(capsys, "repeats", *files, "--fit", FIT, "--csv", table)["repeats"]
     stiffness = {one["source"]: one for one in found if one["quantity"] == "stiffness_n_per_m"}
     assert {name: one["count"] for name, one in stiffness.items()} == {"left arm": 2, "right arm": 1}
     assert stiffness["right arm"]["std"] is None

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from analysis import simulated_steps as steps
 from reports.synthetic_sitting import make_session, make_test
+from shell import answer
 
 from tissueid.cli import main
 from tissueid.sessions import Test, write_session
@@ -29,8 +30,7 @@ def session_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_answer_and_the_page_hold_both_ways(session_file: Path, capsys: pytest.CaptureFixture[str]):
     page = session_file.with_name("readings.html")
     arguments = ["readings", str(session_file), "--engine", "lms", "--draws", "2", "--report", str(page)]
-    assert main([*arguments, "--json", "-"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer(capsys, *arguments)
     assert (found["recorded"]["test"], found["model"]["test"], found["model"]["engine"]) == (2, 1, "lms")
     assert found["recorded"]["readings"]["ue_m"]["std"] > 0.0
     assert found["model"]["readings"]["ue_m"]["std"] > 0.0

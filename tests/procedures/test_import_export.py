@@ -113,8 +113,8 @@ def test_the_window_exports_what_the_command_line_does(imported, tmp_path, trail
 
 
 def test_all_tests_are_exported_without_a_choice(imported, tmp_path, trail):
-    made = run_export(ExportPlan(session=imported, out=tmp_path / "x", kind="csv"), Control(), trail)
-    assert made.files == ("test-0001.csv", "test-0001.json", "test-0002.csv", "test-0002.json")
+    _session, files = run_export(ExportPlan(session=imported, out=tmp_path / "x", kind="csv"), Control(), trail)
+    assert files == ["test-0001.csv", "test-0001.json", "test-0002.csv", "test-0002.json"]
     assert json.loads((tmp_path / "x" / "test-0002.json").read_text())["test"]["samples"] == 400
 
 

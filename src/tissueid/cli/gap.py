@@ -223,8 +223,7 @@ def run_watch(plan: WatchPlan, out: Output) -> None:
         UnusableInputError: the twin, every session, or an option cannot be used.
     """
     check_different(out.json_file, plan.report)
-    watched = out.run(watch_folder, plan)
-    history = watched.history
+    history = out.run(watch_folder, plan)
     columns = ("Session", "Recorded, UTC", "Gap", "Floor", "Result")
     out.print(table("Gap against the twin", *columns, rows=map(_history_row, history.entries)))
     out.print(f"{history_headline(history)[0]}.", soft_wrap=True)

@@ -87,10 +87,9 @@ def print_identification(plan: IdentificationPlan, out: Output) -> None:
     Raises:
         UnusableInputError: no engine is named, or the session, an option or the output file cannot be used.
     """
-    identified = run_identification(plan, Control())
-    analysis, tests = identified.analysis, identified.residual_tests
+    session, analysis, tests = run_identification(plan, Control())
     print_analysis(analysis, out)
-    warned = list(repeat_warnings(identified.session, analysis.tests))
+    warned = list(repeat_warnings(session, analysis.tests))
     out.print_lines(f"on {analysis.validated_on}, {finding}" for finding in (() if tests is None else tests.findings))
     out.print_lines(warned)
     out.write_json(analysis.as_answer() | {"residual_tests": _tests_answer(tests), "quality_warnings": warned})

@@ -93,12 +93,12 @@ def export_tests(plan: ExportPlan, out: Output) -> None:
         UnusableInputError: the session, an option or the folder cannot be used.
     """
     check_different(plan.out, out.json_file)
-    made = out.run(run_export, plan, audit_trail())
-    out.print(f"{plan.out} contains {len(made.session.tests)} test(s), each with its attributes in JSON:")
-    tests = zip(made.session.tests, made.files[::2], strict=True)
+    session, files = out.run(run_export, plan, audit_trail())
+    out.print(f"{plan.out} contains {len(session.tests)} test(s), each with its attributes in JSON:")
+    tests = zip(session.tests, files[::2], strict=True)
     out.print_lines(f"  {name}: {test.kind}, {test.samples} samples" for test, name in tests)
-    about = {"folder": str(plan.out), "format": plan.kind, "session_id": made.session.session_id}
-    out.write_json(about | {"files": list(made.files)})
+    about = {"folder": str(plan.out), "format": plan.kind, "session_id": session.session_id}
+    out.write_json(about | {"files": files})
 
 
 def recover_session(plan: RecoveryPlan, out: Output) -> None:

@@ -86,11 +86,11 @@ def print_stimulus(plan: StimulusPlan, out: Output) -> None:
         answer = _list(plan.what, out)
     else:
         made = out.run(run_stimulus, plan)
-        if made.design is not None:
-            answer = _print_design(made.design, out)
-        if made.trial is not None:
-            out.print(_table(f"Stimulus {made.trial.kind.name} on {made.trial.url}", made.trial.rows()))
-            answer = _trial_answer(made.trial)
+        if isinstance(made, FeedbackTrial):
+            out.print(_table(f"Stimulus {made.kind.name} on {made.url}", made.rows()))
+            answer = _trial_answer(made)
+        else:
+            answer = _print_design(made, out)
         out.print_files(saved=plan.out, samples=plan.csv, plot=plan.plot)
     out.write_json(answer)
 

@@ -165,24 +165,11 @@ _CREATED, _REASON = "created", "reason"
 _BLOCK_BYTES = 1 << 20
 
 
-@dataclass(frozen=True)
-class WatchedFolder:
-    """The history of the gap against a twin."""
-
-    plan: WatchPlan
-    twin: TwinFile
-    history: GapHistory
-
-    @property
-    def report_html(self) -> str:
-        """The report as HTML, in the language in force."""
-        from tissueid.reports.gap_page import watch_html
-
-        return watch_html(self.history, self.twin)
-
-
-def watch_folder(plan: WatchPlan, control: Control) -> WatchedFolder:
+def watch_folder(plan: WatchPlan, control: Control) -> GapHistory:
     """Diagnose every session of a folder against a twin, and write the report if one is named.
+
+    Returns:
+        The history of the gap against the twin.
 
     Raises:
         UnusableInputError: the twin, or every session, or a file cannot be used.
@@ -200,10 +187,12 @@ def watch_folder(plan: WatchPlan, control: Control) -> WatchedFolder:
             file=Verbatim(entries[0].file),
             reason=entries[0].reason,
         )
-    watched = WatchedFolder(plan, twin, GapHistory.of(entries))
+    history = GapHistory.of(entries)
     if plan.report is not None:
-        write_text(plan.report, watched.report_html)
-    return watched
+        from tissueid.reports.gap_page import watch_html
+
+        write_text(plan.report, watch_html(history, twin))
+    return history
 
 
 def diagnose_folder(

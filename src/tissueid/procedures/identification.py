@@ -120,17 +120,11 @@ def engine_options(given: Sequence[str], memory_s: float | None) -> dict[str, An
     return options | {"memory": memory_s}
 
 
-@dataclass(frozen=True)
-class IdentifiedTests:
-    """An analysis with its session, and the tests of the held-out residual; None if too little is held out."""
-
-    session: Session
-    analysis: Analysis
-    residual_tests: ResidualTests | None
-
-
-def run_identification(plan: IdentificationPlan, control: Control) -> IdentifiedTests:
+def run_identification(plan: IdentificationPlan, control: Control) -> tuple[Session, Analysis, ResidualTests | None]:
     """Fit the engine of a plan and validate it.
+
+    Returns:
+        The session, the analysis, and the tests of the held-out residual; None if too little is held out.
 
     Raises:
         UnusableInputError: no engine is named, or the session, a test or an option cannot be used.
@@ -149,10 +143,9 @@ def run_identification(plan: IdentificationPlan, control: Control) -> Identified
     control.check()
     analysis = analyse(session, plan.engine, options, tissue_alone=plan.tissue_alone, **plan.selection)
     try:
-        tests = residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)
+        return session, analysis, residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)
     except UnusableInputError:
-        tests = None
-    return IdentifiedTests(session, analysis, tests)
+        return session, analysis, None
 
 
 _FITTING = marked("Fitting engines")

@@ -207,16 +207,11 @@ class ExportPlan(Plan):
     ] = ()
 
 
-@dataclass(frozen=True)
-class Export:
-    """The exported tests, in their session, and the names of the files: two for each test."""
-
-    session: Session
-    files: tuple[str, ...]
-
-
-def run_export(plan: ExportPlan, control: Control, trail: AuditTrail) -> Export:
+def run_export(plan: ExportPlan, control: Control, trail: AuditTrail) -> tuple[Session, list[str]]:
     """Write each test of a session and its attributes into a folder, and log it. The folder is complete or not there.
+
+    Returns:
+        The exported tests, in their session, and the names of the files: two for each test.
 
     Raises:
         UnusableInputError: the session, a test, the folder or the format cannot be used.
@@ -236,7 +231,7 @@ def run_export(plan: ExportPlan, control: Control, trail: AuditTrail) -> Export:
     files = export_session(session, plan.out, plan.kind, lambda share: control.follow(_EXPORTING, share))
     new = {"tests": len(session.tests), "format": plan.kind}
     audit_note(trail, control, "session.exported", subject=session.session_id, new=new)
-    return Export(session, tuple(files))
+    return session, files
 
 
 _EXPORTING = Message("export.step", "exporting")

@@ -253,16 +253,11 @@ class StimulusPlan(FilePlayback, Plan):
         return specified(get_stimulus(what), list(self.options), self.given)
 
 
-@dataclass(frozen=True)
-class DesignedStimulus:
-    """A stimulus with the figures of its check, or the trial of a feedback stimulus: one of the two."""
-
-    design: StimulusDesign | None
-    trial: FeedbackTrial | None
-
-
-def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
+def run_stimulus(plan: StimulusPlan, control: Control) -> StimulusDesign | FeedbackTrial:
     """Design or read a stimulus, check it, and write the files of the plan.
+
+    Returns:
+        The stimulus with the figures of its check, or the trial of a feedback stimulus.
 
     Raises:
         UnusableInputError: the kind, an option, the device or a file cannot be used.
@@ -276,7 +271,7 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
     device = described_device(plan.device) if plan.from_file else None
     chosen = plan.chosen(0.0 if device is None else device.sample_rate_hz)
     if isinstance(chosen, FeedbackKind):
-        return DesignedStimulus(None, _tried(plan, chosen, control))
+        return _tried(plan, chosen, control)
     device = device or described_device(plan.device)
     search: InterchangeResult | None = None
     if isinstance(chosen, Stimulus):
@@ -294,7 +289,7 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
     if plan.csv is not None:
         write_text(plan.csv, _csv(design))
     _save(plan, stimulus)
-    return DesignedStimulus(design, None)
+    return design
 
 
 def _checked(
