@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import types
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -160,7 +160,7 @@ def _print_design(design: StimulusDesign, out: Output) -> dict[str, Any]:
     } | design.answer()
 
 
-def _table(title: str, rows: Sequence[tuple[str, str]]) -> Table:
+def _table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
     return table(title, "quantity", "value", rows=rows, left=True)
 
 

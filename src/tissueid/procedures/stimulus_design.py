@@ -55,9 +55,21 @@ class FeedbackTrial:
     test: Test
     run: FeedbackRun
 
-    def rows(self) -> tuple[tuple[str, str], ...]:
-        """Return the result as labels and values."""
-        return tuple(_rows(self))
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Yield the result as labels and values."""
+        run, force, depth = self.run, self.run.force, self.run.depth
+        yield "Length", f"{fixed(force.size / run.sample_rate_hz, 2)} s"
+        yield "Range of force", f"{fixed(float(force.min()), 2)} to {fixed(float(force.max()), 2)} N"
+        yield "Range of depth", f"{fixed(1e3 * float(depth.min()), 2)} to {fixed(1e3 * float(depth.max()), 2)} mm"
+        yield (
+            "Desired range of depth",
+            f"{fixed(1e3 * float(run.edges[0]), 2)} to {fixed(1e3 * float(run.edges[-1]), 2)} mm",
+        )
+        if short := out_of_reach(self.test):
+            yield "Reachable depth", short
+        yield "Distance of depth from the desired distribution", fixed(run.distance, 3)
+        yield "Computing time relative to test time", f"{fixed(100.0 * self.note('generating_share'), 1)} %"
+        yield "Late blocks", grouped(self.note("late_blocks"))
 
     def note(self, name: str) -> float:
         """Return a number that the test noted; NaN if it did not."""
@@ -96,23 +108,6 @@ def try_on_tissue(kind: FeedbackKind, url: str | None, limits: Limits, control: 
     finally:
         instrument.close()
     return FeedbackTrial(kind, url, test, feedback_run(test, url.removeprefix(IN_PROCESS)))
-
-
-def _rows(trial: FeedbackTrial) -> Iterator[tuple[str, str]]:
-    test, run = trial.test, trial.run
-    force, depth = run.force, run.depth
-    yield "Length", f"{fixed(force.size / run.sample_rate_hz, 2)} s"
-    yield "Range of force", f"{fixed(float(force.min()), 2)} to {fixed(float(force.max()), 2)} N"
-    yield "Range of depth", f"{fixed(1e3 * float(depth.min()), 2)} to {fixed(1e3 * float(depth.max()), 2)} mm"
-    yield (
-        "Desired range of depth",
-        f"{fixed(1e3 * float(run.edges[0]), 2)} to {fixed(1e3 * float(run.edges[-1]), 2)} mm",
-    )
-    if short := out_of_reach(test):
-        yield "Reachable depth", short
-    yield "Distance of depth from the desired distribution", fixed(run.distance, 3)
-    yield "Computing time relative to test time", f"{fixed(100.0 * trial.note('generating_share'), 1)} %"
-    yield "Late blocks", grouped(trial.note("late_blocks"))
 
 
 CSV_HEAD = "time_s,"
@@ -320,7 +315,7 @@ def _tried(plan: StimulusPlan, kind: FeedbackKind, control: Control) -> Feedback
     trial = try_on_tissue(kind, plan.device, plan.profile, control)
     if plan.plot is not None:
         with writing(plan.plot):
-            feedback_report(kind, [trial.run], trial.rows()).write(plan.plot)
+            feedback_report(kind, [trial.run], tuple(trial.rows())).write(plan.plot)
     _save(plan, kind)
     return trial
 

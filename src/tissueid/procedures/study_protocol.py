@@ -51,13 +51,10 @@ Demographic = Literal["age_years", "weight_kg", "height_m", "gender", "handednes
 _Line = Annotated[str, StringConstraints(strip_whitespace=True, max_length=MAX_TEXT)]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Site(_Part):
+class Site(BaseModel):
     """A site and the number of tests there; None for that of the protocol."""
 
+    model_config = ConfigDict(frozen=True, extra="forbid")
     site: _Line
     repeats: Annotated[int, Field(ge=1, le=100)] | None = None
 
