@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from coded import made, shows
+from shell import complaint
 
 from tissueid.cli import main
 from tissueid.sessions import read_session, write_session
@@ -106,10 +107,7 @@ def test_refusals_are_one_line(session, tmp_path, capsys):
         ([str(tmp_path / "no.h5")], "damaged, or not an HDF5 session"),
         ([str(path), "--test", "9"], "the session has no test 9"),
     ):
-        assert main(["quality", *arguments]) == 2
-        printed = capsys.readouterr().err.strip()
-        assert words in printed
-        assert "\n" not in printed
+        assert words in complaint(capsys, "quality", *arguments)
 
 
 def test_a_session_of_outside_data_can_be_judged(tmp_path, capsys):

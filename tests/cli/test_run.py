@@ -9,6 +9,7 @@ import pytest
 from coded import shows
 from firmware_sim_process import firmware_process
 from golden.golden_page import check_golden_page
+from shell import complaint
 from support import connect_scenario
 
 from firmware_sim.scenario import Scenario
@@ -267,13 +268,7 @@ def test_another_distribution_than_even_is_judged_by_itself(capsys, tmp_path):
 def test_what_cannot_be_run_is_said_in_one_line(arguments, words, capsys, tmp_path):
     (tmp_path / "rubbish.json").write_text("rubbish")
     line = [argument.replace("FOLDER", str(tmp_path)) for argument in [*A_TEST, *arguments]]
-    assert main(line) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "Traceback" not in captured.err
-    last = captured.err.strip().splitlines()[-1]
-    assert last.startswith("tissueid: ")
-    assert words in last
+    assert words in complaint(capsys, *line)
     assert [path.name for path in tmp_path.iterdir()] == ["rubbish.json"]
 
 
