@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import gc
+import math
 import os
 
 import pytest
@@ -77,6 +78,52 @@ def _plots_without_pixels(plots_rendered, plots_laid_out, monkeypatch):
         monkeypatch.setattr("tissueid.reports.plot_axes.lay_out", lambda _figure: None)
 
 
+def opened(folder, bench, clock, calibrations, rendered=False, **changes):
+    """Open a window with services for tests: instruments of a bench, a clock that stands still, files in a folder."""
+    services = {"opener": bench.open, "finder": found, "folder": folder, "wait": lambda _: None}
+    services |= {"separate_process": False, "stop": lambda: EmergencyStop(clock.read), "show_file": lambda _: True}
+    services |= {"calibrate": functools.partial(activate_calibration, folder=calibrations)}
+    services |= {"first_page": "measure", "language": "en"}
+    services["settings"] = lambda: QSettings(str(folder / "window.ini"), QSettings.Format.IniFormat)
+    window = MainWindow(AppServices(**(services | changes)))
+    if not window.settings.contains("window/geometry"):
+        window.resize(1280, 720)  # more than the screen of the offscreen platform has
+    window.setUpdatesEnabled(rendered)  # painting a window takes a twentieth of its test
+    window.show()
+    window.activateWindow()
+    return window
+
+
+@pytest.fixture(scope="module")
+def module_window(qapp, tmp_path_factory):
+    """A window for the tests of a module that begin no test; :func:`fresh_window` sets it back."""
+    folder = tmp_path_factory.mktemp("module")
+    window = opened(folder, Bench(), Clock(), folder)
+    yield window
+    window.close()
+    window.deleteLater()
+    QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+
+
+@pytest.fixture
+def fresh_window(qtbot, module_window):
+    """The window of the module as at its start: page Measure, nothing said, the form with its usual values."""
+    window, form = module_window, module_window.ui.form
+    qtbot.waitUntil(lambda: window.jobs.idle, timeout=WAIT_MS)
+    window.resize(1280, 720)
+    window.pages.show("measure")
+    form.tell_force(form.instrument.url, math.inf)
+    usual = {"site": "", "pseudonym": "", "condition": "", "minutes_since_application": None, "limits": "clinical"}
+    form.fill(usual | {"preset": "standard", "seed": 1, "repeats": 1, "rest_s": 0.0, "kind": None})
+    form.fold.setChecked(False)
+    form.save_in(window.services.folder)
+    window.ui.notice.retract()
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
+    form.site.setFocus()
+    return window
+
+
 @pytest.fixture
 def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch, plots_rendered):
     """Opens windows; at the end each is closed, its work is waited for, and the garbage is collected in this thread."""
@@ -84,21 +131,8 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch, plots_
     monkeypatch.setattr("tissueid.analysis.analyse_all", analyse_once)
 
     def make(**changes):
-        services = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}
-        services["separate_process"] = False
-        services["stop"] = lambda: EmergencyStop(clock.read)
-        services["calibrate"] = functools.partial(activate_calibration, folder=calibrations)
-        services["show_file"] = lambda _: True
-        services["first_page"] = "measure"
-        services["language"] = "en"
-        services["settings"] = lambda: QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat)
-        window = MainWindow(AppServices(**(services | changes)))
-        if not window.settings.contains("window/geometry"):
-            window.resize(1280, 720)  # more than the screen of the offscreen platform has
+        window = opened(tmp_path, bench, clock, calibrations, plots_rendered, **changes)
         windows.append(window)
-        window.setUpdatesEnabled(plots_rendered)  # painting a window takes a twentieth of its test
-        window.show()
-        window.activateWindow()
         qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
         return window
 

@@ -25,6 +25,11 @@ def listed(palette):
     return [palette.list.item(row).text() for row in range(palette.list.count())]
 
 
+@pytest.fixture
+def window(fresh_window):
+    return fresh_window
+
+
 def test_a_page_is_found_by_a_word_and_shown_by_return(qtbot, window):
     window.ui.form.subject.setFocus()
     palette = open_palette(qtbot, window)

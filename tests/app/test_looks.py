@@ -15,6 +15,11 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 CONTROLS = (QAbstractButton, QAbstractSpinBox, QComboBox, QLineEdit)
 
 
+@pytest.fixture
+def window(fresh_window):
+    return fresh_window
+
+
 def controls(window):
     """Everything that can be operated, without the inner parts of spin boxes, lists and tab bars."""
     inside = (QComboBox, QAbstractSpinBox)

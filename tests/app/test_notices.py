@@ -20,6 +20,11 @@ PORT = "/dev/ttyACM7"
 FULL_DISK, CABLE_OFF, SILENT = "The disk is full.", "The cable is off.", "it does not answer: check the cable"
 
 
+@pytest.fixture
+def window(fresh_window):
+    return fresh_window
+
+
 def shown(window):
     return window.ui.notice.text.text() if window.ui.notice.isVisible() else ""
 

@@ -13,6 +13,11 @@ from tissueid.app.views.researcher.engine_form import PreparationForm
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
 
+@pytest.fixture
+def window(fresh_window):
+    return fresh_window
+
+
 @pytest.mark.parametrize(
     ("typed", "value"),
     [

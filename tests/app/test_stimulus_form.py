@@ -17,9 +17,9 @@ from tissueid.stimuli import get_stimulus, stimulus_names
 
 
 @pytest.fixture
-def form(window):
-    window.ui.form.site.setEditText("material sample")
-    return window.ui.form
+def form(fresh_window):
+    fresh_window.ui.form.site.setEditText("material sample")
+    return fresh_window.ui.form
 
 
 def run(qtbot, window):
@@ -141,7 +141,9 @@ def test_filling_a_kind_restores_its_usual_options(form):
         (MULTISTEP, lambda form: form.stimulus.controls["depth_min_m"].set_value(0.02)),
     ],
 )
-def test_what_cannot_be_played_is_said_before_an_instrument_is_touched(qtbot, window, form, bench, kind, change):
+def test_what_cannot_be_played_is_said_before_an_instrument_is_touched(qtbot, window, bench, kind, change):
+    form = window.ui.form
+    form.site.setEditText("material sample")
     form.stimulus.fill(kind)
     change(form)
     press(qtbot, window.ui.start)
