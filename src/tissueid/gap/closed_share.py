@@ -189,10 +189,16 @@ def ceiling(baseline: Candidate) -> float:
             for ridge in RIDGES:
                 weights = np.linalg.solve(squares + ridge * good.sum() * np.eye(toward.size), toward)
                 predicted = [rows @ weights for rows in features]
-                error = _error(courses, predicted, name)
+                parts = (_left(one, name, part, Purpose.CHOICE) for one, part in zip(courses, predicted, strict=True))
+                error = sum(float(np.sum(part**2)) for part in parts)
                 if name not in best or error < best[name][0]:
                     best[name] = (error, predicted)
-    after = _checked(courses, {name: predicted for name, (_, predicted) in best.items()}, baseline.checked_by)
+    places = {one.test.number: k for k, one in enumerate(courses)}
+    after = []
+    for item in baseline.checked_by:
+        k = places[item.test]
+        rest = _left(courses[k], item.channel, best[item.channel][1][k], Purpose.CHECK)
+        after.append(replace(item, square=float(np.mean(rest**2))))
     share = closed(before, gap(after, quiet), least)
     return max(share, 0.0)
 
@@ -221,25 +227,10 @@ def _random_features(inputs: FloatArray, waves: FloatArray, phases: FloatArray) 
     return np.concatenate([np.ones((inputs.shape[0], 1)), inputs, np.cos(turned)], axis=1)
 
 
-def _error(courses: Sequence[_Course], predicted: Sequence[FloatArray], name: str) -> float:
-    total = 0.0
-    for one, values in zip(courses, predicted, strict=True):
-        mask = one.test.serving(Purpose.CHOICE) & np.isfinite(one.left[name])
-        total += float(np.sum((one.left[name][mask] - values[mask]) ** 2))
-    return total
-
-
-def _checked(
-    courses: Sequence[_Course], predicted: dict[str, list[FloatArray]], before: Sequence[ChannelError]
-) -> list[ChannelError]:
-    places = {one.test.number: k for k, one in enumerate(courses)}
-    found = []
-    for item in before:
-        k = places[item.test]
-        mask = courses[k].test.serving(Purpose.CHECK) & np.isfinite(courses[k].left[item.channel])
-        rest = courses[k].left[item.channel][mask] - predicted[item.channel][k][mask]
-        found.append(replace(item, square=float(np.mean(rest**2))))
-    return found
+def _left(one: _Course, name: str, predicted: FloatArray, purpose: Purpose) -> FloatArray:
+    # What the regression leaves of the residual on the samples of a purpose.
+    mask = one.test.serving(purpose) & np.isfinite(one.left[name])
+    return one.left[name][mask] - predicted[mask]
 
 
 IntArray = NDArray[np.int64]

@@ -154,7 +154,11 @@ def diagnose(
     jobs: list[Job] = [partial(localise, dataset, baseline), *([partial(ceiling, baseline)] if there_is else [])]
     places, *most = _together(pool, jobs, cancelled)
     ranking = _ranking(found, places)
-    grounds = _grounds(found, places)
+    items = found.candidates
+    grounds = Grounds(
+        baseline.score,
+        tuple(tried(baseline, item, needs_strict_fit(item, places, baseline.effects)) for item in items),
+    )
     remarks = dataset.remarks
     if there_is:
         chosen = decide(grounds)
@@ -200,7 +204,7 @@ def diagnose(
         dataset,
         found,
         best,
-        _ceiling(most[0], figures) if there_is else float("nan"),
+        float(np.fmax(most[0], figures.closed)) if there_is else float("nan"),
         odds,
         shares,
         limits,
@@ -247,10 +251,6 @@ def _conditional_odds(
     return odds
 
 
-def _ceiling(flexible: float, figures: GapFigures) -> float:
-    return float(np.nanmax([flexible, figures.closed])) if np.isfinite([flexible, figures.closed]).any() else flexible
-
-
 def _next(
     dataset: Dataset,
     found: SearchResult,
@@ -279,12 +279,6 @@ def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]
     blamed = {stage for stage, share in places.shares.items() if share > 0.0}
     only_moves = bool(blamed) and blamed <= _ELECTRICAL and stages <= _MOVING
     return only_moves or all(item.exact for item in new)
-
-
-def _grounds(found: SearchResult, places: Localisation) -> Grounds:
-    baseline = found.baseline
-    items = tuple(tried(baseline, item, needs_strict_fit(item, places, baseline.effects)) for item in found.candidates)
-    return Grounds(baseline.score, items)
 
 
 def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Sequence[str]) -> Localisation:
