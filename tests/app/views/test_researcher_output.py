@@ -52,7 +52,7 @@ def test_fits_of_one_test_lie_over_one_measurement_with_their_scores(qtbot, pane
     pictures.choice.setCurrentText(OUTPUT)
     colours = [curve.colour for curve in pictures.plots.plots[0].curves]
     assert colours == ["muted", "measured", "model", "model"]  # the measurement, LMS, and both runs of the depth engine
-    common, labels = pictures.keys
+    common, labels = pictures.keys()
     assert "P-001" in common
     assert [label.split(":")[0] for label in labels] == ["LMS", "Depth"]
     report = panel.results.outcomes[1].report

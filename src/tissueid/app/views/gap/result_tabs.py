@@ -18,7 +18,6 @@ from PySide6.QtWidgets import (
     QStyledItemDelegate,
     QStyleOptionViewItem,
     QTableWidget,
-    QTableWidgetItem,
     QWidget,
 )
 
@@ -60,19 +59,10 @@ class BarTable(QTableWidget):
 
     def fill(self, rows: Sequence[tuple[Sequence[str], float, bool]]) -> None:
         """Show rows of texts, share of the bar (0 to 1), and whether the row is bold."""
-        self.blockSignals(True)
-        self.setRowCount(len(rows))
-        for place, (words, share, bold) in enumerate(rows):
-            for column, text in enumerate(words):
-                item = QTableWidgetItem(text)
-                item.setToolTip(text if column != self._bars else "")
-                font = item.font()
-                font.setBold(bold)
-                item.setFont(font)
-                if column == self._bars:
-                    item.setData(_SHARE, share)
-                self.setItem(place, column, item)
-        self.blockSignals(False)
+        bold = [place for place, (_words, _share, is_bold) in enumerate(rows) if is_bold]
+        build.fill_table(self, [words for words, _share, _bold in rows], bold)
+        for place, (_words, share, _bold) in enumerate(rows):
+            self.item(place, self._bars).setData(_SHARE, share)
 
 
 class _Bar(QStyledItemDelegate):

@@ -10,12 +10,8 @@ from typing import Any
 
 from pydantic import ValidationError
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import (
-    QFileDialog,
-    QProgressBar,
-    QSplitter,
-    QTabWidget,
     QWidget,
 )
 
@@ -50,7 +46,6 @@ from tissueid.messages import Message, Verbatim, translated
 from tissueid.plan_options import validation_reason
 from tissueid.procedures.control import Control, RemainingTime
 
-_STEPS = 1000
 _LOOK_MS = 100
 _TOLD = 3
 _GRACE_S = 60.0
@@ -86,13 +81,9 @@ class AnalysisPanel(QWidget):
             self._choose_folder,
             tip=_("Fit the engine to every stochastic test of every session below a folder"),
         )
-        self.cancelling = build.button(_("Cancel"), self.cancel)
-        self.bar = build.styled(
-            QProgressBar(), range=(0, _STEPS), text_visible=False, name=_("Progress of the analysis")
-        )
-        self.step = _line()
+        self.progress = build.ProgressRow(ElidedLabel(), _("Progress of the analysis"), "", self.cancel)
+        self.step, self.bar, self.cancelling = self.progress.parts
         self.results = ResultsTable()
-        self.fits = QSplitter(Qt.Orientation.Vertical)
         self._before_removal: tuple[EngineOutcome, ...] = ()
         self._kept_in = self._history.path.with_name(NAME)
         self._read_kept = self._to_keep = False
@@ -124,9 +115,14 @@ class AnalysisPanel(QWidget):
         self.population = PopulationView()
         self.verdicts = RecommendationView()
         self.past = HistoryList()
-        self.tabs = QTabWidget()
-        self.tabs.tabBar().setAccessibleName(_("Results, recommendation and history"))
-        self._show_working()
+        self.fits = build.splitter((self.results, 1), (self.pictures, 3), sizes=_HEIGHTS, upright=True)
+        self.tabs = build.tabs(
+            _("Results, recommendation and history"),
+            (self.fits, _("Results")),
+            (self.population, _("Population")),
+            (self.verdicts, _("Recommendation")),
+            (self.past, _("History")),
+        )
         self._arrange()
         self._looking = build.timer(self, _LOOK_MS, self._look, repeat=True)
         self._connect()
@@ -139,30 +135,10 @@ class AnalysisPanel(QWidget):
         self.form.setMinimumWidth(_FORM_WIDTH)
         top = build.row(self.run, self.compare, self.folder, None)
         below = build.row((self.step, 2), (self.bar, 1), self.cancelling, self.refit, self.undo)
-        for widget in (self.save_figure, self.save_table, self.clear):
-            self.pictures.tools.addWidget(widget)
-        self.pictures.tools.addStretch(1)
-        results = self.fits
-        results.setChildrenCollapsible(False)
-        results.addWidget(self.results)
-        results.addWidget(self.pictures)
-        results.setSizes(list(_HEIGHTS))
-        results.setStretchFactor(0, 1)
-        results.setStretchFactor(1, 3)
-        self.tabs.setDocumentMode(True)
-        self.tabs.tabBar().setDrawBase(False)
-        self.tabs.addTab(results, _("Results"))
-        self.tabs.addTab(self.population, _("Population"))
-        self.tabs.addTab(self.verdicts, _("Recommendation"))
-        self.tabs.addTab(self.past, _("History"))
-        right = QWidget()
-        build.column(top, below, (self.tabs, 1), margins=(6, 0, 0, 0), parent=right)
-        parts = FoldingSplitter(_FORM_HEIGHT)
-        parts.addWidget(self.form)
-        parts.addWidget(right)
-        parts.setChildrenCollapsible(False)
-        parts.setStretchFactor(1, 1)
-        parts.setSizes([_FORM_WIDTH, 4 * _FORM_WIDTH])
+        build.fill(self.pictures.tools, self.save_figure, self.save_table, self.clear, None, spacing=4)
+        right = build.holder(build.column(top, below, (self.tabs, 1), margins=(6, 0, 0, 0)))
+        sizes = _FORM_WIDTH, 4 * _FORM_WIDTH
+        parts = build.splitter((self.form, 0), (right, 1), sizes=sizes, made=FoldingSplitter(_FORM_HEIGHT))
         build.column(parts, margins=(0, 6, 0, 0), parent=self)
 
     def show_tests(self, chosen: Sequence[SelectedTest]) -> None:
@@ -235,7 +211,7 @@ class AnalysisPanel(QWidget):
         self._work, self._doing, self._shown_parts = control, doing, 0
         self._left = RemainingTime()
         self.cancelling.setEnabled(True)
-        self._show_working()
+        self._look()
         self._looking.start()
         why = _("An analysis is running on Research: cancel it there, or wait.")
         self.context.do_work(work, control, done, self._failed, why=why, grace_s=_GRACE_S)
@@ -274,18 +250,12 @@ class AnalysisPanel(QWidget):
     def _choose_folder(self) -> None:
         if self._task(tests=()) is None:
             return
-        dialog = build.styled(
-            QFileDialog(self, _("Run on the sessions below a folder"), str(self.context.services.folder)),
-            file_mode=QFileDialog.FileMode.Directory,
-            option=QFileDialog.Option.ShowDirsOnly,
-            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
-        )
-        dialog.fileSelected.connect(self._run_folder)
-        dialog.open()
+        title = _("Run on the sessions below a folder")
+        build.ask_path(self, title, self.context.services.folder, self._run_folder)
 
-    def _run_folder(self, folder: str) -> None:
+    def _run_folder(self, folder: Path) -> None:
         if (task := self._task(tests=())) is not None:
-            self.start(task, Path(folder))
+            self.start(task, folder)
 
     def _look(self) -> None:
         """Show progress, and the fits that are ready: not during a measurement, which new plots would disturb."""
@@ -295,9 +265,9 @@ class AnalysisPanel(QWidget):
             self._keep([outcome for part in ready for outcome in part])
         if self._work is not None and not self._work.cancelled():
             step, share = self._work.step, self._work.fraction or 0.0
-            self.bar.setValue(round(_STEPS * share))
             doing = Verbatim(f"{self._doing} {step}" if step else self._doing)
-            self.step.setText(translated(self._left.added_to(Message("research.step", "{step}", step=doing), share)))
+            said = self._left.added_to(Message("research.step", "{step}", step=doing), share)
+            self.progress.show_progress(share, translated(said))
 
     def _done(self, batch: Batch) -> None:
         self._end()
@@ -321,7 +291,7 @@ class AnalysisPanel(QWidget):
     def _end(self) -> None:
         self._looking.stop()
         self._work = None
-        self._show_working()
+        self.progress.clear()
         self._rest()
 
     def _keep(self, new: Sequence[EngineOutcome]) -> None:
@@ -428,20 +398,10 @@ class AnalysisPanel(QWidget):
         """Show the number of selected tests if no work runs."""
         if self._work is None:
             count = len(self._chosen)
-            self.step.setText(
-                self.context.jobs.why_no_work
-                if self.context.jobs.working
-                else plural("{count} test chosen.", "{count} tests chosen.", count).format(count=count)
-                if count
-                else _("No test is chosen.")
-            )
+            chosen = plural("{count} test chosen.", "{count} tests chosen.", count).format(count=count)
+            idle = chosen if count else _("No test is chosen.")
+            self.progress.show_reason(self.context.jobs.why_no_work if self.context.jobs.working else idle)
         self._enable()
-
-    def _show_working(self) -> None:
-        working = self._work is not None
-        self.bar.setValue(0)
-        self.bar.setVisible(working)
-        self.cancelling.setVisible(working)
 
     def _enable(self) -> None:
         free = not self._working
@@ -467,15 +427,9 @@ class AnalysisPanel(QWidget):
         self.results.chosen_changed.connect(self._draw)
         self.results.removed.connect(self._remove)
         self.population.wanted.connect(self._show_in_table)
-        undo = QShortcut(QKeySequence(QKeySequence.StandardKey.Undo), self.results)
-        undo.setContext(Qt.ShortcutContext.WidgetShortcut)
-        undo.activated.connect(self._undo_removal)
+        keys, of_table = QKeySequence.StandardKey.Undo, Qt.ShortcutContext.WidgetShortcut
+        build.shortcut(self.results, keys, self._undo_removal, of_table)
         self.population.save_figure.clicked.connect(self._save_population)
         self.verdicts.save.clicked.connect(self._save_recommendation)
         self.past.again.connect(self.start)
         self.past.wanted.connect(self._take_task)
-
-
-def _line() -> ElidedLabel:
-    """Return an elided label for the progress of the work."""
-    return build.styled(ElidedLabel(), role="muted")

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QSize
-from PySide6.QtWidgets import QProgressBar, QWidget
+from PySide6.QtWidgets import QWidget
 
 from tissueid.app import build
-from tissueid.app.build import button, styled, timer
+from tissueid.app.build import timer
 from tissueid.app.jobs import JobControl
 from tissueid.app.widgets import ElidedLabel
 from tissueid.language import _
 
 _LOOK_MS = 60
-_STEPS = 1000
 _WIDTH = 240
 """Pixels of the strip; its words are cut before its button is."""
 
@@ -40,10 +39,9 @@ class ProgressStrip(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._errand: BackgroundWork | None = None
-        self._words = styled(ElidedLabel(), role="muted")
-        self._bar = styled(QProgressBar(), range=(0, _STEPS), text_visible=False, name=_("Progress"))
-        self.stop = button(_("Cancel"), self.cancel, role="small", name=_("Cancel the running work"))
-        build.row((self._words, 2), (self._bar, 1), self.stop, parent=self)
+        self._progress = build.ProgressRow(ElidedLabel(), _("Progress"), _("Cancel the running work"), self.cancel)
+        words, bar, self.stop = self._progress.parts
+        build.row((words, 2), (bar, 1), build.styled(self.stop, role="small"), parent=self)
         self._timer = timer(self, _LOOK_MS, self._look, repeat=True)
         keep = self.sizePolicy()
         keep.setRetainSizeWhenHidden(True)
@@ -58,9 +56,8 @@ class ProgressStrip(QWidget):
         """Show the progress of work until :meth:`clear`."""
         self._errand = errand
         self.stop.setEnabled(True)
-        self._words.setText(errand.words)
-        self._bar.setAccessibleName(errand.words)
-        self._bar.setValue(0)
+        self._progress.bar.setAccessibleName(errand.words)
+        self._look()
         self._timer.start()
         self.show()
 
@@ -75,8 +72,9 @@ class ProgressStrip(QWidget):
         if self._errand is not None:
             self._errand.cancel()
             self.stop.setEnabled(False)
-            self._words.setText(_("Stopping…"))
+            self._look()
 
     def _look(self) -> None:
         if self._errand is not None:
-            self._bar.setValue(round(_STEPS * (self._errand.fraction or 0.0)))
+            words = _("Stopping…") if self._errand.cancelled() else self._errand.words
+            self._progress.show_progress(self._errand.fraction or 0.0, words)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty
 
 from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, Signal
-from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QLineEdit, QMenu, QPushButton, QWidget
+from PySide6.QtGui import QKeySequence
+from PySide6.QtWidgets import QComboBox, QLineEdit, QMenu, QPushButton, QWidget
 
 from tissueid.app import build
 from tissueid.app.context import AppContext
@@ -45,23 +46,15 @@ class FilterBar(QWidget):
             tip=_("Rows that have every word (Ctrl+F)"),
             clear_button_enabled=True,
         )
-        self.choices = tuple(QComboBox() for _name in _NAMES)
+        filtering = _("Filter by {column}")
+        self.choices = tuple(
+            build.choice({"": _(name)}, self._chosen, 4, name=filtering.format(column=_(name))) for name in _NAMES
+        )
         self.subject, self.site, self.kind = self.choices
         self.clear = build.button(_("Clear"), self._clear, name=_("Clear search and filters"))
-        choices = QHBoxLayout()
-        choices.setSpacing(6)
-        for choice, name, anything in zip(self.choices, _NAMES, _ALL, strict=True):
-            build.styled(
-                choice,
-                name=_("Filter by {column}").format(column=_(name)),
-                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-                minimum_contents_length=4,
-            )
+        for choice in self.choices:
             choice.view().setTextElideMode(Qt.TextElideMode.ElideRight)
-            choice.addItem(_(name), "")
-            choice.setItemData(0, _(anything), Qt.ItemDataRole.ToolTipRole)
-            choice.currentIndexChanged.connect(self._chosen)
-            choices.addWidget(choice, 1)
+        choices = build.row(*[(choice, 1) for choice in self.choices])
         build.column(build.row((self.words, 1), self.clear), choices, parent=self)
         self.words.textChanged.connect(self._chosen)
         self._chosen()
@@ -82,28 +75,16 @@ class FilterBar(QWidget):
 
     def offer(self, entries: Iterable[SessionEntry]) -> None:
         """Offer the values found in these files; the selection stays."""
-        found: tuple[set[str], ...] = (set(), set(), set())
-        for entry in entries:
-            if not entry.problem:
-                found[0].add(entry.pseudonym)
-            for test in entry.tests:
-                found[1].add(test.site)
-                found[2].add(test.kind)
-        for choice, values in zip(self.choices, found, strict=True):
-            self._fill(choice, values - {""})
+        sessions = [entry for entry in entries if not entry.problem]
+        tests = [test for entry in sessions for test in entry.tests]
+        offered = {entry.pseudonym for entry in sessions}, {test.site for test in tests}, {test.kind for test in tests}
+        for choice, values in zip(self.choices, offered, strict=True):
+            self._fill(choice, (values | {choice.currentData()}) - {""})
 
     def _fill(self, choice: QComboBox, values: set[str]) -> None:
-        asked = str(choice.currentData() or "")
-        wanted = ["", *sorted(values | ({asked} - {""}), key=str.casefold)[:_MOST_OFFERED]]
-        if [choice.itemData(place) for place in range(choice.count())] == wanted:
-            return
-        choice.blockSignals(True)
-        for place in range(choice.count() - 1, 0, -1):
-            choice.removeItem(place)
-        for value in wanted[1:]:
-            choice.addItem(self._text(choice, value), value)
-        choice.setCurrentIndex(max(0, choice.findData(asked)))
-        choice.blockSignals(False)
+        wanted = sorted(values, key=str.casefold)[:_MOST_OFFERED]
+        if [choice.itemData(place) for place in range(1, choice.count())] != wanted:
+            build.offer(choice, {"": choice.itemText(0)} | {value: self._text(choice, value) for value in wanted})
 
     def _text(self, choice: QComboBox, value: str) -> str:
         if choice is self.subject:
@@ -112,9 +93,8 @@ class FilterBar(QWidget):
 
     def _chosen(self) -> None:
         self.clear.setEnabled(any(self.asked))
-        for choice in self.choices:
-            shown = choice.currentText() if choice.currentIndex() else choice.itemData(0, Qt.ItemDataRole.ToolTipRole)
-            choice.setToolTip(plain_tip(str(shown)))
+        for choice, anything in zip(self.choices, _ALL, strict=True):
+            choice.setToolTip(plain_tip(choice.currentText() if choice.currentIndex() else _(anything)))
         self.changed.emit()
 
     def _clear(self) -> None:
@@ -136,18 +116,17 @@ class FolderButton(QPushButton):
         self.setMenu(QMenu(self))
         self._fill()
 
-    def add(self, path: str) -> None:
+    def add(self, path: Path) -> None:
         """Add a folder."""
-        folder = Path(path)
-        if path and folder not in self.paths:
-            self.paths.append(folder)
-            self._fill()
-            self.changed.emit()
+        self._take([*self.paths, path] if path not in self.paths else self.paths)
 
     def remove(self, path: Path) -> None:
         """Remove a folder."""
-        if path in self.paths:
-            self.paths.remove(path)
+        self._take([other for other in self.paths if other != path])
+
+    def _take(self, paths: list[Path]) -> None:
+        if paths != self.paths:
+            self.paths = paths
             self._fill()
             self.changed.emit()
 
@@ -168,15 +147,8 @@ class FolderButton(QPushButton):
         )
 
     def _choose(self) -> None:
-        where = str(self.paths[-1]) if self.paths else ""
-        dialog = build.styled(
-            QFileDialog(self.window(), _("Look for sessions in"), where),
-            file_mode=QFileDialog.FileMode.Directory,
-            option=QFileDialog.Option.ShowDirsOnly,
-            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
-        )
-        dialog.fileSelected.connect(self.add)
-        dialog.open()
+        at = self.paths[-1] if self.paths else None
+        build.ask_path(self.window(), _("Look for sessions in"), at, self.add)
 
 
 _ASKED, _HEADER = "research/asked", "research/columns"
@@ -211,8 +183,8 @@ class Browser(QWidget):
         self.shown = SessionFilter(self.model, self)
         self.bar = FilterBar()
         self.tree = SessionTree(self.shown)
-        self.count = QLabel()
-        self.picked = QLabel()
+        self.count = build.label("muted")
+        self.picked = build.label("muted", _("Nothing selected"))
         folders = [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         self.folders = FolderButton(folders or [context.services.folder], self)
         self.again = build.button(
@@ -275,7 +247,7 @@ class Browser(QWidget):
         """Add folders and single sessions to the list."""
         for path in paths:
             if path.is_dir():
-                self.folders.add(str(path))
+                self.folders.add(path)
             else:
                 self.on_session_saved(path)
 
@@ -322,41 +294,38 @@ class Browser(QWidget):
         if self._search is None:
             return
         entries: list[SessionEntry] = []
-        try:
+        with suppress(Empty):
             while len(entries) < _AT_ONCE:
                 entries.append(self._search.found.get_nowait())
-        except Empty:
-            pass
         if entries:
             self._seen |= {entry.path for entry in entries}
             self.model.add(entries)
-            self.tree.span_problems()
-            self.bar.offer(self.model.entries)
-            self._tell_count()
+            self._show_entries()
+
+    def _show_entries(self) -> None:
+        self.tree.span_problems()
+        self.bar.offer(self.model.entries)
+        self._tell_count()
 
     def _ended(self, search: SessionSearch) -> None:
-        self._close()
+        self._drain.stop()
+        self._strip.clear()
         while not search.found.empty():
             self._take_found()
         if self._whole and not search.cancelled() and self._seen != set(self.model.by_path):
             self.model.show([entry for entry in self.model.entries if entry.path in self._seen])
-            self.tree.span_problems()
-            self.bar.offer(self.model.entries)
         self._search = None
-        self._tell_count()
+        self._show_entries()
         if self._to_choose in self.model.by_path:
             self._choose_listed()
         if search.remarks:
             self._context.say(" ".join(search.remarks), problem=not search.cancelled())
 
     def _failed(self, words: str) -> None:
-        self._close()
-        self._search = None
-        self._context.say(words, problem=True)
-
-    def _close(self) -> None:
         self._drain.stop()
         self._strip.clear()
+        self._search = None
+        self._context.say(words, problem=True)
 
     # -- what is shown --------------------------------------------------------------------------------------
 
@@ -395,9 +364,8 @@ class Browser(QWidget):
         self.selected.emit()
 
     def _chosen(self, entry: SessionEntry, test: TestEntry) -> SelectedTest:
-        parts = [subject_text(entry.pseudonym), clean(test.site), _("test {number}").format(number=test.number)]
-        label = ", ".join(part[:_LONGEST_LABEL] for part in parts if part)
-        label = f"{label} ({clean(entry.path.stem)[:40]})"
+        parts = subject_text(entry.pseudonym), clean(test.site), _("test {number}").format(number=test.number)
+        label = f"{', '.join(part[:_LONGEST_LABEL] for part in parts if part)} ({clean(entry.path.stem)[:40]})"
         when = entry.when if math.isfinite(entry.when) else None
         return SelectedTest(entry.path, test.number, test.site, entry.pseudonym, label, when)
 
@@ -414,9 +382,6 @@ class Browser(QWidget):
             self.shown.ask(*self.bar.asked)
 
     def _arrange(self) -> None:
-        for label in (self.count, self.picked):
-            build.styled(label, role="muted", text_format=Qt.TextFormat.PlainText, minimum_width=1, word_wrap=True)
-        self.picked.setText(_("Nothing selected"))
         top = build.row(self.folders, self.again, None)
         self.foot = build.row((build.column(self.count, self.picked, spacing=0), 1))
         build.column(top, self.bar, (self.tree, 1), self.foot, parent=self)
@@ -427,13 +392,9 @@ class Browser(QWidget):
         self.folders.changed.connect(self.look_again)
         self.tree.opened.connect(self._open)
         self.tree.selectionModel().selectionChanged.connect(self._select)
-        for keys, what in (
-            (QKeySequence.StandardKey.Find, self._find),
-            (QKeySequence.StandardKey.Refresh, self.look_again),
-        ):
-            shortcut = QShortcut(QKeySequence(keys), self)
-            shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
-            shortcut.activated.connect(what)
+        in_window = Qt.ShortcutContext.WindowShortcut
+        build.shortcut(self, QKeySequence.StandardKey.Find, self._find, in_window)
+        build.shortcut(self, QKeySequence.StandardKey.Refresh, self.look_again, in_window)
 
     def _find(self) -> None:
         self.bar.words.setFocus()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFileDialog, QPushButton
+from PySide6.QtWidgets import QPushButton
 
 from tissueid.analysis.curves.overlay_plots import calibration_curves
 from tissueid.app import build
@@ -44,18 +44,11 @@ class CalibrationButton(QPushButton):
         if not wanted:
             self._pictures.show_calibration({})
             return
-        try:
+        folder = None
+        with suppress(UnusableInputError):
             folder = calibration_folder()
-        except UnusableInputError:
-            folder = None
-        dialog = build.styled(
-            QFileDialog(self, _("Dynamic sweep"), "" if folder is None else str(folder), "TOML (*.toml)"),
-            file_mode=QFileDialog.FileMode.ExistingFile,
-            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
-        )
-        dialog.fileSelected.connect(lambda name: self.draw_sweep(Path(name)))
+        dialog = build.ask_path(self, _("Dynamic sweep"), folder, self.draw_sweep, "TOML (*.toml)")
         dialog.finished.connect(self._check)
-        dialog.open()
 
     def _check(self) -> None:
         self.setChecked(self._pictures.calibrated)

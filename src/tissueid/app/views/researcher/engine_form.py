@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
-from PySide6.QtCore import QEvent, Qt, Signal
-from PySide6.QtGui import QKeySequence, QShortcut, QUndoCommand, QUndoStack
+from PySide6.QtCore import QEvent, QSignalBlocker, Qt, Signal
+from PySide6.QtGui import QKeySequence, QUndoCommand, QUndoStack
 from PySide6.QtWidgets import (
+    QBoxLayout,
     QCheckBox,
     QComboBox,
     QFrame,
-    QGridLayout,
     QLabel,
     QScrollArea,
     QWidget,
@@ -49,16 +50,8 @@ class PreparationForm(QWidget):
         )
         self.low = self._edge(_("Band from"), _("Lower frequencies are removed from both signals before the fit"))
         self.high = self._edge(_("Band to"), _("Higher frequencies are removed from both signals before the fit"))
-        layout = QGridLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setVerticalSpacing(2)
-        for column, edge in enumerate((self.low, self.high)):
-            label = build.styled(QLabel(edge.accessibleName()), role="field")
-            layout.addWidget(label, 0, column)
-            layout.addWidget(edge, 1, column)
-            layout.setColumnStretch(column, 1)
-        layout.addWidget(self.detrend, 2, 0, 1, 2)
-        layout.addWidget(self.tissue_alone, 3, 0, 1, 2)
+        edges = [(_field(edge.accessibleName(), edge), 1) for edge in (self.low, self.high)]
+        build.column(build.row(*edges), self.detrend, self.tissue_alone, spacing=2, parent=self)
 
     @property
     def controls(self) -> tuple[QWidget, ...]:
@@ -118,13 +111,11 @@ class EngineForm(QWidget):
         self._fields: dict[str, OptionField] = {}
         self._stack = QUndoStack(self)
         self._stack.setUndoLimit(_UNDOABLE)
-        self.engine = build.styled(QComboBox(), name=_("Identification engine"))
-        for name in engine_names():
-            self.engine.addItem(engine_label(name), name)
-            self.engine.setItemData(self.engine.count() - 1, _about(name), Qt.ItemDataRole.ToolTipRole)
-        self.about = build.styled(
-            QLabel(), role="field", word_wrap=True, minimum_width=1, text_format=Qt.TextFormat.PlainText
-        )
+        engines = {name: engine_label(name) for name in engine_names()}
+        self.engine = build.choice(engines, self._choose_engine, name=_("Identification engine"))
+        for place, name in enumerate(engines):
+            self.engine.setItemData(place, _about(name), Qt.ItemDataRole.ToolTipRole)
+        self.about = build.label("field")
         self.input, self.output = _signals(_("Input"), INPUTS), _signals(_("Output"), OUTPUTS)
         self.together = build.styled(
             QCheckBox(_("Fit tests of a file together")),
@@ -134,36 +125,18 @@ class EngineForm(QWidget):
         self.defaults = build.button(
             _("&Defaults"), self._take_defaults, tip=_("All options of this engine as they are when nothing is chosen")
         )
-        self.undo = build.button(_("Undo"), tip=_("Take the last change back (Ctrl+Z)"))
-        self.redo = build.button(_("Redo"), tip=_("Make it again (Ctrl+Shift+Z)"))
-        self.problem = build.styled(
-            QLabel(),
-            role="readout",
-            level="poor",
-            word_wrap=True,
-            minimum_width=1,
-            text_format=Qt.TextFormat.PlainText,
-            hidden=True,
-        )
+        undoing, redoing = _("Take the last change back (Ctrl+Z)"), _("Make it again (Ctrl+Shift+Z)")
+        self.undo = build.button(_("Undo"), self._stack.undo, tip=undoing, enabled=False)
+        self.redo = build.button(_("Redo"), self._stack.redo, tip=redoing, enabled=False)
+        self.problem = build.label("readout", level="poor", hidden=True)
         self._arrange()
-        self.engine.currentIndexChanged.connect(self._choose_engine)
-        for combo in (self.input, self.output):
-            combo.currentIndexChanged.connect(self.changed)
-        self.together.toggled.connect(self.changed)
+        for signal in (self.input.currentIndexChanged, self.output.currentIndexChanged, self.together.toggled):
+            signal.connect(self.changed)
         self.preparation.changed.connect(self.changed)
-        self.undo.clicked.connect(self._stack.undo)
-        self.redo.clicked.connect(self._stack.redo)
         self._stack.canUndoChanged.connect(self.undo.setEnabled)
         self._stack.canRedoChanged.connect(self.redo.setEnabled)
-        self.undo.setEnabled(False)
-        self.redo.setEnabled(False)
-        for keys, act in (
-            (QKeySequence.StandardKey.Undo, self._stack.undo),
-            (QKeySequence.StandardKey.Redo, self._stack.redo),
-        ):
-            shortcut = QShortcut(QKeySequence(keys), self)
-            shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-            shortcut.activated.connect(act)
+        build.shortcut(self, QKeySequence.StandardKey.Undo, self._stack.undo)
+        build.shortcut(self, QKeySequence.StandardKey.Redo, self._stack.redo)
         self._shown = str(self.engine.currentData())
         self.choose(report_engines()[0])
         self._stack.clear()
@@ -241,9 +214,8 @@ class EngineForm(QWidget):
         """Show the options of an engine after a change, undo or redo."""
         self._values[engine] = dict(values)
         if self.name != engine:
-            self.engine.blockSignals(True)
-            self.engine.setCurrentIndex(self.engine.findData(engine))
-            self.engine.blockSignals(False)
+            with QSignalBlocker(self.engine):
+                self.engine.setCurrentIndex(self.engine.findData(engine))
         self._show_engine(engine)
 
     # -- reacting -----------------------------------------------------------------------------------------
@@ -302,62 +274,36 @@ class EngineForm(QWidget):
                 field.setPalette(self.palette())
 
     def _make_fields(self, engine: str) -> None:
-        for field in self._fields.values():
-            field.hide()
-            field.deleteLater()
-        while (item := self._grid.takeAt(0)) is not None:
+        while (item := self._fields_box.takeAt(0)) is not None:
             if (widget := item.widget()) is not None:
                 widget.hide()
                 widget.deleteLater()
         kind = get_engine(engine)
         self._fields = {}
         self.about.setText(_about(engine))
-        before: QWidget = self.engine
-        for row, (name, info) in enumerate(kind.model_fields.items()):
+        for name, info in kind.model_fields.items():
             field = OptionField(name, info, self)
             field.setPalette(self.palette())  # a field that comes late does not get the page's colours by itself
-            label = build.styled(
-                QLabel(field.label),
-                role="field",
-                text_format=Qt.TextFormat.PlainText,
-                tip=f"<qt>{html.escape(_(info.description))}</qt>" if info.description else "",
-            )
-            self._grid.addWidget(label, 2 * row, 0)
-            self._grid.addWidget(field, 2 * row + 1, 0)
+            tip = f"<qt>{html.escape(_(info.description))}</qt>" if info.description else ""
+            label = build.styled(QLabel(field.label), role="field", text_format=Qt.TextFormat.PlainText, tip=tip)
+            for part in (label, field):
+                self._fields_box.addWidget(part)
             field.edited.connect(self._edited)
             field.undone.connect(self._stack.undo)
             field.redone.connect(self._stack.redo)
             self._fields[name] = field
-            for control in field.controls:
-                QWidget.setTabOrder(before, control)
-                before = control
-        for control in (
-            self.defaults,
-            self.undo,
-            self.redo,
-            self.input,
-            self.output,
-            self.together,
-            *self.preparation.controls,
-        ):
-            QWidget.setTabOrder(before, control)
-            before = control
+        buttons = self.defaults, self.undo, self.redo
+        controls = [control for field in self._fields.values() for control in field.controls]
+        order = self.engine, *controls, *buttons, self.input, self.output, self.together, *self.preparation.controls
+        for before, after in pairwise(order):
+            QWidget.setTabOrder(before, after)
 
     def _arrange(self) -> None:
-        self._grid = QGridLayout()
-        self._grid.setContentsMargins(0, 0, 0, 0)
-        self._grid.setVerticalSpacing(2)
-        signals = QGridLayout()
-        signals.setVerticalSpacing(2)
-        for column, (name, combo) in enumerate(((_("Input"), self.input), (_("Output"), self.output))):
-            label = build.styled(QLabel(name), role="field")
-            signals.addWidget(label, 0, column)
-            signals.addWidget(combo, 1, column)
-            signals.setColumnStretch(column, 1)
-        content = QWidget()
-        build.column(
+        self._fields_box = build.column(spacing=2)
+        signals = build.row((_field(_("Input"), self.input), 1), (_field(_("Output"), self.output), 1))
+        content = build.column(
             self.about,
-            self._grid,
+            self._fields_box,
             self.problem,
             build.row(self.defaults, self.undo, self.redo, spacing=4),
             signals,
@@ -365,12 +311,10 @@ class EngineForm(QWidget):
             self.preparation,
             None,
             margins=(0, 0, 8, 0),
-            parent=content,
         )
-        scroll = QScrollArea()
-        scroll.setWidget(content)
-        build.styled(
-            scroll,
+        scroll = build.styled(
+            QScrollArea(),
+            widget=build.holder(content),
             widget_resizable=True,
             frame_shape=QFrame.Shape.NoFrame,
             horizontal_scroll_bar_policy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
@@ -403,12 +347,10 @@ def _about(engine: str) -> str:
 
 
 def _signals(name: str, offered: tuple[str, ...]) -> QComboBox:
-    combo = build.styled(
-        QComboBox(),
-        name=_("{name} of the model").format(name=name),
-        minimum_contents_length=5,
-        size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-    )
-    for signal in offered:
-        combo.addItem(signal_title(signal), signal)
-    return combo
+    titles = {signal: signal_title(signal) for signal in offered}
+    return build.choice(titles, characters=5, name=_("{name} of the model").format(name=name))
+
+
+def _field(text: str, field: QWidget) -> QBoxLayout:
+    """Return a field below its label."""
+    return build.column(build.styled(QLabel(text), role="field"), field, spacing=2)

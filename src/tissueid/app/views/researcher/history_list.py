@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from PySide6.QtCore import QModelIndex, Qt, Signal
+from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QComboBox,
     QHeaderView,
-    QLabel,
-    QTableWidget,
-    QTableWidgetItem,
     QTabWidget,
     QWidget,
 )
@@ -88,31 +85,16 @@ class HistoryList(QWidget):
         self._busy = False
         self.run = build.button(_("Run again"), self._again)
         self.fill = build.button(_("Put into the form"), self._fill)
-        self.remark = build.styled(
-            QLabel(), role="muted", text_format=Qt.TextFormat.PlainText, word_wrap=True, minimum_width=1
-        )
-        self.table = build.styled(
-            QTableWidget(0, len(_COLUMNS)),
-            horizontal_header_labels=[_(name) for name in _COLUMNS],
-            name=_("History of analyses"),
-            selection_behavior=QAbstractItemView.SelectionBehavior.SelectRows,
-            selection_mode=QAbstractItemView.SelectionMode.SingleSelection,
-            edit_triggers=QAbstractItemView.EditTrigger.NoEditTriggers,
-            tab_key_navigation=False,
-            show_grid=False,
-            word_wrap=False,
-        )
-        self.table.verticalHeader().hide()
-        self.table.verticalHeader().setDefaultSectionSize(_ROW)
-        header = self.table.horizontalHeader()
-        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
-        build.styled(header, stretch_last_section=True, highlight_sections=False)
+        self.remark = build.label("muted")
+        self.table = build.table([_(name) for name in _COLUMNS], _("History of analyses"))
+        self.table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        interactive = QHeaderView.ResizeMode.Interactive
+        build.styled(self.table.horizontalHeader(), section_resize_mode=interactive, stretch_last_section=True)
         build.column(
             build.row(self.fill, self.run, (self.remark, 1)), (self.table, 1), margins=(0, 6, 0, 0), parent=self
         )
         self.table.itemSelectionChanged.connect(self._settle)
-        self.table.activated.connect(self._activated)
+        self.table.activated.connect(self._fill)
         self._settle()
 
     def show_entries(self, entries: Sequence[HistoryEntry], bad: int = 0) -> None:
@@ -121,12 +103,7 @@ class HistoryList(QWidget):
         self.remark.setText(
             _("{count} lines of the history could not be read and are passed over.").format(count=bad) if bad else ""
         )
-        self.table.setRowCount(len(self._entries))
-        for row, entry in enumerate(self._entries):
-            for column, text in enumerate(_texts(entry)):
-                item = QTableWidgetItem(text[:_LONGEST])
-                item.setToolTip(text[: 5 * _LONGEST].replace("<", "‹").replace(">", "›"))
-                self.table.setItem(row, column, item)
+        build.fill_table(self.table, [[text[:_LONGEST] for text in _texts(entry)] for entry in self._entries])
         for column in range(len(_COLUMNS) - 1):
             self.table.resizeColumnToContents(column)
             self.table.setColumnWidth(column, min(240, self.table.columnWidth(column) + 6))
@@ -157,9 +134,6 @@ class HistoryList(QWidget):
     def _fill(self) -> None:
         if (task := self._chosen()) is not None:
             self.wanted.emit(task)
-
-    def _activated(self, _index: QModelIndex) -> None:
-        self._fill()
 
 
 def _texts(entry: HistoryEntry) -> tuple[str, str, str, str, str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QButtonGroup, QComboBox, QLabel, QPushButton, QStackedWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLabel, QWidget
 
 from tissueid.analysis.curves.plot import Curve
 from tissueid.app import build
@@ -174,25 +174,16 @@ class KernelPlot(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.choice = build.styled(QComboBox(), name=_("Result whose kernel is shown"))
-        # As wide as there is room: a long name must not widen the page.
-        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.choice.setMinimumContentsLength(10)
-        self.choice.currentIndexChanged.connect(self._show)
+        self.choice = build.choice({}, self._show, 10, name=_("Result whose kernel is shown"))
         self.canvas = PlotCanvas()
         self._plots: list[Plot] = []
         self._groups: list[tuple[Plot, ...]] = []
-        self.back = build.button(_("Reset view"), tip=_("Look at it as at first (Home)"))
-        self.back.clicked.connect(self.canvas.show_everything)
-        self.flat, self.raised = QPushButton(_("Image")), QPushButton(_("Surface"))
-        self.flat.setToolTip(_("Seen from above, every value a colour"))
-        self.raised.setToolTip(_("In space, every value a height; it can be turned"))
-        self._ways = QButtonGroup(self)
-        top = build.row((self.choice, 1), self.back, spacing=4)
-        for button in (self.flat, self.raised):
-            build.styled(button, checkable=True, role="toggle")
-            self._ways.addButton(button)
-            top.addWidget(button)
+        self.back = build.button(_("Reset view"), self.canvas.show_everything, tip=_("Look at it as at first (Home)"))
+        toggle = {"checkable": True, "role": "toggle", "auto_exclusive": True}
+        self.flat = build.button(_("Image"), tip=_("Seen from above, every value a colour"), **toggle)
+        raising = _("In space, every value a height; it can be turned")
+        self.raised = build.button(_("Surface"), tip=raising, **toggle)
+        top = build.row((self.choice, 1), self.back, self.flat, self.raised, spacing=4)
         self.flat.setChecked(True)
         self.raised.toggled.connect(self._show)
         build.column(top, (self.canvas, 1), spacing=4, parent=self)
@@ -217,10 +208,7 @@ class KernelPlot(QWidget):
 
     def offer(self, outcomes: Sequence[EngineOutcome]) -> None:
         """Offer the kernels of results; the selection stays."""
-        before = self.choice.currentText()
         pairs = [(f"{outcome.label}: {_(plot.title)}", plot) for outcome in outcomes for plot in outcome.plots.kernels]
-        self.choice.blockSignals(True)
-        self.choice.clear()
         self._plots = [plot for _name, plot in pairs]
         kinds: dict[str, list[Plot]] = {}
         for outcome in outcomes:
@@ -229,9 +217,7 @@ class KernelPlot(QWidget):
         several = {title: _on_one_scale(plots[:_MOST_BESIDE]) for title, plots in kinds.items() if len(plots) > 1}
         self._groups = list(several.values())
         together = [_("{kernel}: side by side").format(kernel=_(title)) for title in several]
-        self.choice.addItems([text for text, _plot in pairs] + together)
-        self.choice.setCurrentIndex(max(0, self.choice.findText(before)) if pairs else -1)
-        self.choice.blockSignals(False)
+        build.offer_texts(self.choice, [text for text, _plot in pairs] + together)
         self._show()
 
     def _show(self) -> None:
@@ -275,18 +261,15 @@ class Pictures(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.choice = build.styled(QComboBox(), name=_("Picture"), minimum_width=_CHOICE)
-        for name in PICTURES:
-            self.choice.addItem(_(name), name)
+        titles = {name: _(name) for name in PICTURES}
+        self.choice = build.choice(titles, name=_("Picture"), minimum_width=_CHOICE)
         self._drawn: list[EngineOutcome] = []
         self._total = 0
         self._refused = ""
         self._under: Mapping[str, Curve] = {}
         self._for_depth: list[QWidget] = []
         self.plots, self.kernel = PlotCanvas(), KernelPlot()
-        self._pages = QStackedWidget()
-        self._pages.addWidget(self.plots)
-        self._pages.addWidget(self.kernel)
+        self._pages = build.stack(self.plots, self.kernel)
         self.legend = build.styled(
             QLabel(),
             text_format=Qt.TextFormat.RichText,
@@ -298,11 +281,7 @@ class Pictures(QWidget):
         self.choice.currentIndexChanged.connect(self._show)
         appearance.changed.connect(self._show_legend)
         self.canvas = QWidget()
-        self._inside = inside = QVBoxLayout(self.canvas)
-        inside.setContentsMargins(0, 0, 0, 0)
-        inside.setSpacing(4)
-        inside.addWidget(self.legend)
-        inside.addWidget(self._pages, 1)
+        self._inside = build.column(self.legend, (self._pages, 1), spacing=4, parent=self.canvas)
         self.tools = build.row(self.choice, spacing=4)
         build.column(self.tools, (self.canvas, 1), spacing=4, parent=self)
         self.show_outcomes(())
@@ -343,11 +322,6 @@ class Pictures(QWidget):
         return tuple(self._drawn)
 
     @property
-    def keys(self) -> tuple[str, list[str]]:
-        """The common part of the labels of the drawn results, and the label of each in the legend."""
-        return self._keys()
-
-    @property
     def figure(self) -> PictureFigure | KernelFigure | KernelsFigure | None:
         """The shown plot as a figure for files; None if nothing is shown."""
         name, kernel = self.choice.currentData(), self.kernel.plot
@@ -356,7 +330,7 @@ class Pictures(QWidget):
         if name == KERNELS:
             text, turned = self.kernel.choice.currentText(), self.kernel.turned
             return None if kernel is None else KernelFigure(text, kernel, turned)
-        return PictureFigure(name, tuple(self._drawn), *self.keys, self._under) if self._drawn else None
+        return PictureFigure(name, tuple(self._drawn), *self.keys(), self._under) if self._drawn else None
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Elide the names in the legend to the available width."""
@@ -365,8 +339,11 @@ class Pictures(QWidget):
 
     # -- inside -------------------------------------------------------------------------------------------
 
-    def _keys(self, room: int | None = None) -> tuple[str, list[str]]:
-        """Return ``keys``; with ``room`` names are elided to that number of characters, but not the scores."""
+    def keys(self, room: int | None = None) -> tuple[str, list[str]]:
+        """Return the common part of the labels of the drawn results, and the label of each in the legend.
+
+        With ``room`` names are elided to that number of characters, but not the scores.
+        """
         common, labels = keys_of(self._drawn)
         scores = [""] * len(labels)
         if self.choice.currentData() == OUTPUT:
@@ -390,14 +367,14 @@ class Pictures(QWidget):
             self.plots.say_missing(refused or _("Nothing to show yet: choose tests and run an engine."))
         elif panels:
             self.plots.show_plots(
-                PictureFigure(name, tuple(self._drawn), *self.keys, self._under).plots(SERIES), key=False
+                PictureFigure(name, tuple(self._drawn), *self.keys(), self._under).plots(SERIES), key=False
             )
         self._show_legend()
 
     def _show_legend(self) -> None:
         theme = appearance.theme
         room = max(_LEAST, self.width() // max(1, self.fontMetrics().averageCharWidth()) - _AROUND)
-        common, labels = self._keys(room)
+        common, labels = self.keys(room)
         entries = [html.escape(f"{common}:")] if common else []
         for role, label in zip(SERIES, labels, strict=False):
             name = html.escape(label).replace(" ", "&nbsp;")

@@ -12,7 +12,7 @@ import pyqtgraph as pg
 from numpy.typing import NDArray
 from PySide6.QtCore import QEvent, QObject, QPoint, Qt, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
-from PySide6.QtWidgets import QComboBox, QLabel, QWidget
+from PySide6.QtWidgets import QLabel, QWidget
 
 from tissueid.app import build
 from tissueid.app.live_signals import decimated
@@ -198,12 +198,7 @@ class SpectrumCard(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.choice = build.styled(
-            QComboBox(),
-            name=_("Signal of the spectrum"),
-            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-            minimum_contents_length=10,
-        )
+        self.choice = build.choice({}, characters=10, name=_("Signal of the spectrum"))
         self.card = PlotCanvas(_("Power spectrum"))
         self._shown: tuple[Sequence[LoadedTest], tuple[float, float]] = ((), (0.0, 1.0))
         self._wanted = "position"

@@ -6,13 +6,14 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QWidget
+from PySide6.QtWidgets import QComboBox, QLabel, QWidget
 
-from tissueid.app.build import button, column, styled
+from tissueid.app.build import button, choice, column, offer, styled, tiles
 from tissueid.app.plot_canvas import PlotCanvas, Point
 from tissueid.app.theme import LIGHT, appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, variant_of
@@ -66,12 +67,9 @@ class PopulationView(QWidget):
         self.shown: Population | None = None
         self.engine = _choice(_("Fits that are drawn: engine and options"))
         self.parameter = _choice(_("Parameter"))
-        self.across = _choice(_("Drawn against"))
-        self.group = _choice(_("Groups"))
-        self.spread = _choice(_("Means of the groups"))
-        for choice, entries in ((self.group, GROUPS), (self.spread, SPREADS), (self.across, ACROSS)):
-            for key, words in entries.items():
-                choice.addItem(_(words), key)
+        self.across = _choice(_("Drawn against"), ACROSS)
+        self.group = _choice(_("Groups"), GROUPS)
+        self.spread = _choice(_("Means of the groups"), SPREADS)
         self.group.setCurrentIndex(self.group.findData("engine"))
         self.save_figure = button(
             _("Figure…"),
@@ -89,17 +87,12 @@ class PopulationView(QWidget):
         )
         self.count = styled(ElidedLabel(), role="muted")
         self.named = ElidedLabel()
-        top = QGridLayout()
-        top.setSpacing(4)
-        for place, part in enumerate((self.parameter, self.across, self.group, self.spread)):
-            top.addWidget(part, place // 2, place % 2)
+        top = tiles(2, self.parameter, self.across, self.group, self.spread, spacing=4)
         top.addWidget(self.engine, 2, 0, 1, 2)
         top.addWidget(self.save_figure, 0, 2)
-        top.setColumnStretch(0, 1)
-        top.setColumnStretch(1, 1)
         column(top, self.key, (self.card, 1), self.count, self.named, spacing=4, margins=(0, 6, 0, 0), parent=self)
-        for choice in (self.engine, self.parameter, self.across, self.group, self.spread):
-            choice.activated.connect(self._choose)
+        for box in (self.engine, self.parameter, self.across, self.group, self.spread):
+            box.activated.connect(self._choose)
         appearance.changed.connect(self._show)
         self._show()
         self.show_outcomes(())
@@ -144,26 +137,10 @@ class PopulationView(QWidget):
         """Offer the parameters of the fits; the selection stays if possible."""
         self._stale = False
         variants = dict.fromkeys(variant_of(outcome) for outcome in self._outcomes)
-        shown_variant = self.engine.currentData()
-        self.engine.clear()
-        self.engine.addItem(_("Fits of all engines"), "")
-        for variant in variants:
-            self.engine.addItem(variant, variant)
-        self.engine.setCurrentIndex(max(0, self.engine.findData(shown_variant)))
-        parameters = parameters_of(self._outcomes)
-        names = [(name, _heading(name)) for name in parameters]
-        across = self.across.currentData()
-        for choice, entries in (
-            (self.parameter, names),
-            (self.across, [*((key, _(words)) for key, words in ACROSS.items()), *names]),
-        ):
-            choice.blockSignals(True)
-            choice.clear()
-            for key, words in entries:
-                choice.addItem(words, key)
-            choice.blockSignals(False)
-        self.parameter.setCurrentIndex(max(0, self.parameter.findData(self._wanted)) if names else -1)
-        self.across.setCurrentIndex(max(0, self.across.findData(across)))
+        offer(self.engine, {"": _("Fits of all engines")} | {variant: variant for variant in variants})
+        names = {name: _heading(name) for name in parameters_of(self._outcomes)}
+        offer(self.parameter, names, self._wanted)
+        offer(self.across, {key: _(words) for key, words in ACROSS.items()} | names)
         self._show()
 
     # -- drawing ---------------------------------------------------------------------------------------------
@@ -263,14 +240,8 @@ class PopulationView(QWidget):
         return self._words(found[0]) if found else ""
 
 
-def _choice(name: str) -> QComboBox:
-    return styled(
-        QComboBox(),
-        name=name,
-        tip=name,
-        size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-        minimum_contents_length=_CHARACTERS,
-    )
+def _choice(name: str, entries: Mapping[str, str] = MappingProxyType({})) -> QComboBox:
+    return choice({key: _(words) for key, words in entries.items()}, characters=_CHARACTERS, name=name, tip=name)
 
 
 def _heading(parameter: str) -> str:

@@ -5,21 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtGui import QAction, QFont
 from PySide6.QtWidgets import (
-    QComboBox,
     QHeaderView,
     QMenu,
     QPlainTextEdit,
-    QSplitter,
-    QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
 from tissueid.analysis import EngineComparison
-from tissueid.app.build import button, fill, label, row, styled, table
+from tissueid.app.build import button, choice, column, fill_table, label, offer, row, splitter, styled, table
 from tissueid.app.views.researcher.results_table import in_two_lines
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.words import sentence
@@ -60,15 +54,7 @@ def summary_of(found: EngineComparison, tests: tuple[SelectedTest, ...]) -> Comp
     recommended = (said.engine, said.second_order)
     rows = [_row(one, (one.engine, one.second_order) == recommended) for one in said.standings]
     rows += [
-        (
-            engine_label(entry.engine),
-            _("refused"),
-            MISSING,
-            MISSING,
-            MISSING,
-            MISSING,
-            sentence(translated(entry.refused)),
-        )
+        (engine_label(entry.engine), _("refused"), *[MISSING] * 4, sentence(translated(entry.refused)))
         for entry in found.entries
         if entry.refused
     ]
@@ -119,18 +105,13 @@ class RecommendationView(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._verdicts: dict[str, ComparisonSummary] = {}
-        self.choice = styled(
-            QComboBox(),
-            name=_("Test whose comparison is shown"),
-            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
-        )
-        self.choice.currentIndexChanged.connect(self._show)
+        self.choice = choice({}, self._show, 0, name=_("Test whose comparison is shown"))
         self.engines = button(_("En&gines compared"))
         menu = QMenu(self.engines)
         self.engines.setMenu(menu)
         self._actions = {name: menu.addAction(engine_label(name)) for name in engine_names()}
         for action in self._actions.values():
-            self._prepare(action)
+            styled(action, checkable=True, checked=True).toggled.connect(self._count)
         self.save = button(_("Table…"), name=_("Save the recommendation"), tip=_("Save table and reasons as CSV"))
         self.headline = label("headline")
         self.words = styled(
@@ -141,24 +122,11 @@ class RecommendationView(QWidget):
         header = self.standings.horizontalHeader()
         header.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
         header.sectionResized.connect(self.standings.resizeRowsToContents)
-        parts = styled(QSplitter(Qt.Orientation.Vertical), children_collapsible=False)
-        for place, (part, stretch) in enumerate(((self.words, 2), (self.standings, 3))):
-            parts.addWidget(part)
-            parts.setStretchFactor(place, stretch)
-        fill(
-            QVBoxLayout(self),
-            row(self.engines, (self.choice, 1), self.save),
-            self.headline,
-            (parts, 1),
-            margins=(0, 6, 0, 0),
-        )
+        parts = splitter((self.words, 2), (self.standings, 3), upright=True)
+        top = row(self.engines, (self.choice, 1), self.save)
+        column(top, self.headline, (parts, 1), margins=(0, 6, 0, 0), parent=self)
         self._count()
         self._show()
-
-    def _prepare(self, action: QAction) -> None:
-        action.setCheckable(True)
-        action.setChecked(True)
-        action.toggled.connect(self._count)
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -176,10 +144,7 @@ class RecommendationView(QWidget):
         if not verdicts:
             return
         self._verdicts |= {verdict.label: verdict for verdict in verdicts}
-        with QSignalBlocker(self.choice):
-            self.choice.clear()
-            self.choice.addItems(list(self._verdicts))
-            self.choice.setCurrentIndex(self.choice.findText(verdicts[0].label))
+        offer(self.choice, {label: label for label in self._verdicts}, verdicts[0].label)
         self._show()
 
     def rows(self) -> list[Sequence[str]]:
@@ -207,14 +172,6 @@ class RecommendationView(QWidget):
         for title, lines in ((_("Caveats"), verdict.doubts), (_("Suggested tests"), verdict.experiments)):
             parts += ["", title, *lines] if lines else []
         self.words.setPlainText("\n".join(parts))
-        self.standings.setRowCount(len(verdict.rows))
-        for place, texts in enumerate(verdict.rows):
-            font = QFont(self.standings.font())
-            font.setBold(texts[_STATE] == _("recommended"))
-            for column, text in enumerate(texts):
-                item = QTableWidgetItem(text)
-                item.setFont(font)
-                if column in _NUMBERS:
-                    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                self.standings.setItem(place, column, item)
-            item.setToolTip(text.replace("<", "‹").replace(">", "›"))
+        best = [place for place, texts in enumerate(verdict.rows) if texts[_STATE] == _("recommended")]
+        fill_table(self.standings, verdict.rows, bold=best, right=_NUMBERS)
+        self.standings.resizeRowsToContents()

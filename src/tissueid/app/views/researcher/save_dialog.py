@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol, cast
 
 from PySide6.QtCore import QObject, Qt
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
 from tissueid.app import build
 from tissueid.app.context import AppContext
-from tissueid.language import _, marked
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-import re
-from typing import TYPE_CHECKING, Literal, cast
-
 from tissueid.atomic_write import atomic_file, unused_path
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import csv_text
+from tissueid.language import _, marked
 from tissueid.messages import Listing
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
@@ -117,19 +110,20 @@ class SaveDialog(QObject):
     def _ask(self, title: str, kinds: Mapping[str, str], name: str, folder: Path | None = None) -> None:
         where, endings = folder or self._context.services.folder, list(kinds)
         words = {_(text): ending for ending, text in kinds.items()}
-        dialog = build.styled(
-            QFileDialog(self._over, title, str(where), ";;".join(words)), accept_mode=QFileDialog.AcceptMode.AcceptSave
+        dialog = build.ask_path(
+            self._over,
+            title,
+            where,
+            self._chosen,
+            ";;".join(words),
+            save=free_name(where, name, endings[0]),
+            option=QFileDialog.Option.DontConfirmOverwrite,  # asked here, the same way on every system
+            default_suffix=endings[0][1:],
         )
-        dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # asked here, the same way on every system
-        dialog.setDefaultSuffix(endings[0][1:])
-        dialog.selectFile(free_name(where, name, endings[0]))
         dialog.filterSelected.connect(functools.partial(_take_ending, dialog, words))
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(self._chosen)
-        dialog.open()
 
-    def _chosen(self, name: str) -> None:
-        self._path = Path(name)
+    def _chosen(self, path: Path) -> None:
+        self._path = path
         if not self._path.exists():
             self._begin()
             return

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtGui import QColor, QPixmap, QResizeEvent
 from PySide6.QtWidgets import (
-    QHBoxLayout,
     QHeaderView,
-    QLabel,
     QMenu,
     QPushButton,
-    QSplitter,
     QTableWidget,
     QTableWidgetItem,
     QWidget,
@@ -268,25 +265,26 @@ class SignalsPanel(QWidget):
         self.loaded: list[LoadedTest] = []
         self.channels = ChannelButton(load_texts(context.settings, _SIGNALS))
         self.low, self.high = NumberField(), NumberField()
+        self.stack = PlotStack()
         self.whole = build.button(
-            _("Whole test"), tip=_("Show everything again (a double click on a plot does the same)")
+            _("Whole test"),
+            self.stack.show_whole,
+            tip=_("Show everything again (a double click on a plot does the same)"),
         )
         self.save = build.button(
             _("Save figure…"), self._choose_figure, tip=_("What is shown, as PDF, SVG or PNG with 300 dpi")
         )
         self._saver = SaveDialog(context, self)
-        self.about = ElidedLabel()
-        self.stack = PlotStack()
+        self.about = build.styled(ElidedLabel(), role="muted")
         self.table = StatisticsTable()
         self.spectrum = SpectrumCard()
-        self.empty = QLabel(_(NOTHING))
+        self.empty = build.label("muted", _(NOTHING), alignment=Qt.AlignmentFlag.AlignCenter)
         self._figures = build.timer(self, _FIGURES_MS, self._show_figures)
         self._arrange()
         self.channels.changed.connect(self._redraw)
         self.stack.brushed.connect(self._brushed)
         self.low.valueChanged.connect(self._typed)
         self.high.valueChanged.connect(self._typed)
-        self.whole.clicked.connect(self.stack.show_whole)
         self.table.currentCellChanged.connect(self.stack.bring_forward)
         self._redraw()
 
@@ -348,10 +346,8 @@ class SignalsPanel(QWidget):
     # -- showing --------------------------------------------------------------------------------------------
 
     def _redraw(self) -> None:
-        found: dict[Channel, None] = {}
-        for test in self.loaded:
-            found.update(dict.fromkeys(test.tracks))
-        self.channels.offer(sorted(found, key=lambda channel: channel.rank))
+        offered = dict.fromkeys(channel for test in self.loaded for channel in test.tracks)
+        self.channels.offer(sorted(offered, key=lambda channel: channel.rank))
         self._say_empty("" if self.loaded else _(NOTHING))
         for field in (self.low, self.high, self.whole, self.channels):
             field.setEnabled(bool(self.loaded))
@@ -369,10 +365,8 @@ class SignalsPanel(QWidget):
     def _brushed(self, low_s: float, high_s: float) -> None:
         end = self.stack.whole[1]
         for field, value in ((self.low, low_s), (self.high, high_s)):
-            field.blockSignals(True)
-            field.setRange(0.0, end)
-            field.setValue(value)
-            field.blockSignals(False)
+            with QSignalBlocker(field):
+                build.styled(field, range=(0.0, end), value=value)
         self.whole.setEnabled(self.stack.brush is not None)
         if not self._figures.isActive():
             self._figures.start()
@@ -426,34 +420,10 @@ class SignalsPanel(QWidget):
                 single_step=_STEP_S,
                 tip=_("Selected time interval: the plots below show it"),
             )
-        for label in (self.about, self.empty):
-            build.styled(label, role="muted", text_format=Qt.TextFormat.PlainText, minimum_width=1)
-        build.styled(self.empty, alignment=Qt.AlignmentFlag.AlignCenter, word_wrap=True)
-        looked_at, kept = QHBoxLayout(), QHBoxLayout()
-        for part in (self.channels, self.low, self.high):
-            looked_at.addWidget(part)
-        kept.addWidget(self.whole)
-        kept.addStretch(1)
-        kept.addWidget(self.save)
-        top = FoldingBox(_ONE_ROW)
-        for group in (top, looked_at, kept):
-            group.setSpacing(6)
-        top.addLayout(looked_at)
-        top.addLayout(kept, 1)
-        below = QWidget()
+        looked_at = build.row(self.channels, self.low, self.high)
+        top = build.fill(FoldingBox(_ONE_ROW), looked_at, (build.row(self.whole, None, self.save), 1))
         self.about.setFixedHeight(self.spectrum.choice.sizeHint().height())
-        build.row(
-            (build.column(self.about, (self.table, 1), spacing=4), 5),
-            (self.spectrum, 4),
-            spacing=8,
-            margins=(0, 4, 0, 0),
-            parent=below,
-        )
-        self.parts = QSplitter(Qt.Orientation.Vertical)
-        self.parts.addWidget(self.stack)
-        self.parts.addWidget(below)
-        self.parts.setChildrenCollapsible(False)
-        self.parts.setStretchFactor(0, 3)
-        self.parts.setStretchFactor(1, 1)
-        self.parts.setSizes(list(_HEIGHTS))
+        figures = build.column(self.about, (self.table, 1), spacing=4)
+        below = build.holder(build.row((figures, 5), (self.spectrum, 4), spacing=8, margins=(0, 4, 0, 0)))
+        self.parts = build.splitter((self.stack, 3), (below, 1), sizes=_HEIGHTS, upright=True)
         build.column(top, (self.parts, 1), (self.empty, 1), margins=(0, 6, 0, 0), parent=self)

@@ -9,11 +9,8 @@ from pathlib import Path
 from PySide6.QtCore import QByteArray, Qt
 from PySide6.QtWidgets import (
     QAbstractButton,
-    QFileDialog,
     QMenu,
     QPushButton,
-    QSplitter,
-    QTabWidget,
     QToolButton,
     QWidget,
 )
@@ -52,17 +49,14 @@ class SessionExport(BackgroundWork):
 
     def run(self) -> SessionExport:
         """Export the sessions; a cancelled one leaves no files."""
-        try:
-            for done, (path, numbers) in enumerate(self._tests.items()):
-                self._begun = done / len(self._tests)
-                try:
-                    self._export(path, numbers)
-                except CancelledError:
-                    raise
-                except (TissueIDError, OSError) as error:
-                    self.problems.append(in_words(error))
-        except CancelledError:
-            pass  # what is written stays
+        for done, (path, numbers) in enumerate(self._tests.items()):
+            self._begun = done / len(self._tests)
+            try:
+                self._export(path, numbers)
+            except CancelledError:
+                break  # what is written stays
+            except (TissueIDError, OSError) as error:
+                self.problems.append(in_words(error))
         self.problems += [sentence(translated(notice)) for notice in self.notices]
         return self
 
@@ -128,20 +122,14 @@ class ExportButton(QPushButton):
         chosen = list(self._chosen())
         if not chosen:
             return
-        dialog = build.styled(
-            QFileDialog(self.window(), _("Export into a new folder in"), str(chosen[0].path.parent)),
-            file_mode=QFileDialog.FileMode.Directory,
-            option=QFileDialog.Option.ShowDirsOnly,
-            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
-        )
-        dialog.fileSelected.connect(partial(self._export, chosen, kind))
-        dialog.open()
+        title, export = _("Export into a new folder in"), partial(self._export, chosen, kind)
+        build.ask_path(self.window(), title, chosen[0].path.parent, export)
 
-    def _export(self, chosen: Sequence[SelectedTest], kind: str, folder: str) -> None:
+    def _export(self, chosen: Sequence[SelectedTest], kind: str, folder: Path) -> None:
         if self._context.busy:
             self._context.say(_("Not exported: other work is running. Try again."), problem=True)
             return
-        export = SessionExport(chosen, Path(folder), kind, self._context.trail)
+        export = SessionExport(chosen, folder, kind, self._context.trail)
         self._strip.watch(export)
         self._context.jobs.do(export.run, self._exported, self._failed)
 
@@ -174,9 +162,8 @@ class ResearchView(View):
         self.browser.foot.addWidget(self.export)
         self.signals = SignalsPanel(context, self.strip)
         self.analysis = AnalysisPanel(context)
-        self.tabs = build.styled(QTabWidget(), document_mode=True)
-        self.tabs.tabBar().setDrawBase(False)
-        self.tabs.tabBar().setAccessibleName(_("Signals and analysis"))
+        pages = (self.signals, _("Signals")), (self.analysis, _("Analysis"))
+        self.tabs = build.tabs(_("Signals and analysis"), *pages)
         self.tabs.setCornerWidget(self.strip)
         self.fold_list = build.styled(
             QToolButton(),
@@ -187,15 +174,7 @@ class ResearchView(View):
         )
         self.fold_list.toggled.connect(self._fold_list)
         self.tabs.setCornerWidget(self.fold_list, Qt.Corner.TopLeftCorner)
-        self.tabs.addTab(self.signals, _("Signals"))
-        self.tabs.addTab(self.analysis, _("Analysis"))
-        self.split = QSplitter()
-        self.split.addWidget(self.browser)
-        self.split.addWidget(self.tabs)
-        build.styled(self.split, children_collapsible=False, handle_width=8)
-        self.split.setStretchFactor(0, 3)
-        self.split.setStretchFactor(1, 7)
-        self.split.setSizes(list(_WIDTHS))
+        self.split = build.styled(build.splitter((self.browser, 3), (self.tabs, 7), sizes=_WIDTHS), handle_width=8)
         QWidget.setTabOrder(self.export, self.fold_list)
         QWidget.setTabOrder(self.fold_list, self.tabs.tabBar())
         build.column((self.split, 1), spacing=4, margins=(12, 10, 12, 6), parent=self)
@@ -286,5 +265,4 @@ class ResearchView(View):
         split = self.context.settings.value(_SPLIT)
         if isinstance(split, QByteArray):
             self.split.restoreState(split)
-        if str(self.context.settings.value(_TAB, "0")) == "1":
-            self.tabs.setCurrentWidget(self.analysis)
+        build.restore_tab(self.tabs, self.context.settings.value(_TAB))
