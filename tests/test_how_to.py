@@ -85,7 +85,7 @@ form = EngineForm()
 form.choose("massless")
 found["form"] = form.engine.currentText(), form.about.text(), [field.label for field in form._fields.values()]
 
-from tissueid.app.views.gap.diagnosis_run import page_content_of
+from tissueid.app.views.gap.diagnosis_result import page_content_of
 from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import diagnose

@@ -40,7 +40,7 @@ from tissueid.app.layout import SMALLEST
 from tissueid.app.main_window import MainWindow
 from tissueid.app.notice import Notice
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.gap.diagnosis_run import result_of
+from tissueid.app.views.gap.diagnosis_result import result_of
 from tissueid.app.widgets import ElidedLabel
 from tissueid.calibration import CalibratedQuantity, Calibration
 from tissueid.calibration.active import activate_calibration

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissueid.app.views.gap.diagnosis_run import page_content_of
+from tissueid.app.views.gap.diagnosis_result import page_content_of
 from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.cli import main
 from tissueid.device import DeviceDescription

@@ -13,8 +13,8 @@ from plugged import plugged_in
 from reports.synthetic_sitting import make_session
 
 from tissueid.analysis import compare, specifications, split
+from tissueid.app.views.researcher.batch import summary_of
 from tissueid.app.views.researcher.engine_form import EngineForm
-from tissueid.app.views.researcher.recommendation_view import summary_of
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.cli import main
 from tissueid.identification import registry

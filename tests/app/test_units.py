@@ -22,7 +22,7 @@ from tissueid.app.views.researcher.plot_stack import Channel, LoadedTest, Record
 from tissueid.app.views.researcher.save_dialog import write_figure
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.signals import SignalFigure, StatisticsTable
-from tissueid.app.views.technician.calibration_panels import SweepsPanel
+from tissueid.app.views.technician.calibrations import SweepsPanel
 from tissueid.app.words import figure_of
 from tissueid.calibration import CalibratedQuantity
 from tissueid.calibration.status import label_of

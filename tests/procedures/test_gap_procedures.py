@@ -12,8 +12,13 @@ import pytest
 from coded import coded, says
 from gap_records import recorded
 
-from tissueid.app.views.gap.diagnosis_result import DiagnosisResult, accept_into_twin, export_json, write_report
-from tissueid.app.views.gap.diagnosis_run import run_diagnosis
+from tissueid.app.views.gap.diagnosis_result import (
+    DiagnosisResult,
+    accept_into_twin,
+    export_json,
+    run_diagnosis,
+    write_report,
+)
 from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError

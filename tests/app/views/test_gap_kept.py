@@ -17,8 +17,7 @@ from PySide6.QtWidgets import QFileDialog
 
 from tissueid.app.user_files import stamp_of
 from tissueid.app.views.gap import view
-from tissueid.app.views.gap.diagnosis_result import MOST_KEPT, default_folder, keep, new_key, read_kept
-from tissueid.app.views.gap.diagnosis_run import result_of
+from tissueid.app.views.gap.diagnosis_result import MOST_KEPT, default_folder, keep, new_key, read_kept, result_of
 from tissueid.app.views.gap.page_content import STATE_TITLES, as_title
 from tissueid.app.views.gap.view import EffectDialog
 from tissueid.errors import UnusableInputError

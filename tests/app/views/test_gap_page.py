@@ -15,9 +15,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
 
 from tissueid.app.user_files import stamp_of
-from tissueid.app.views.gap import diagnosis_run
-from tissueid.app.views.gap.diagnosis_result import why_not_accepted
-from tissueid.app.views.gap.diagnosis_run import page_content_of
+from tissueid.app.views.gap import diagnosis_result as diagnosis_run
+from tissueid.app.views.gap.diagnosis_result import page_content_of, why_not_accepted
 from tissueid.app.views.gap.next_test import session_url
 from tissueid.app.views.gap.page_content import STAGE_TITLES, VERDICT_TITLES, Proposal
 from tissueid.app.views.gap.request_panel import RequestPanel

@@ -11,7 +11,7 @@ import pytest
 from coded import made, part_of, reads, says
 from gap_records import observed, recorded
 
-from tissueid.app.views.gap.diagnosis_run import page_content_of
+from tissueid.app.views.gap.diagnosis_result import page_content_of
 from tissueid.app.views.gap.page_content import as_title
 from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.app.views.gap.result_tabs import _NONE, _NONE_SEPARATES, NextTestTab

@@ -20,8 +20,8 @@ from PySide6.QtWidgets import (
     QTableView,
 )
 
+from tissueid.app.views.researcher.analysis import STATE
 from tissueid.app.views.researcher.engine_outcome import Preparation
-from tissueid.app.views.researcher.history_list import STATE, restore_state
 from tissueid.app.views.researcher.results_store import read_results, write_results
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_names, get_engine
@@ -203,7 +203,7 @@ def test_the_state_of_last_time_is_taken_up_or_passed_over(open_panel):
     assert later.pictures.choice.currentIndex() == 2
     good = panel.context.settings.value(STATE)
     for rubbish in (None, "", "[1]", '{"engine": "moon"}', "x" * 200_000, '{"options": {"lms": 7}, "tab": "no"}', good):
-        restore_state(rubbish, later.form, later.verdicts, later.pictures.choice, later.tabs)
+        later.restore_state(rubbish)
         assert later.form.name in engine_names()
     assert later.form.options()["degree"] == 4
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import re
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, PlainSerializer, TypeAdapter
@@ -26,10 +27,16 @@ from tissueid.errors import UnusableInputError
 from tissueid.instrument.twin_file import TwinFile
 from tissueid.language import _
 from tissueid.messages import translated
+from tissueid.procedures.control import Control
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan
 from tissueid.procedures.output_files import json_text, write_text
-from tissueid.stored_values import StoredText
+from tissueid.stored_values import StoredText, finite
 from tissueid.untrusted_input import MAX_TESTS, json_value
+
+if TYPE_CHECKING:
+    from tissueid.gap.diagnosis import Diagnosis
+    from tissueid.procedures.diagnosis import DiagnosedSession
+    from tissueid.sessions import Session
 
 State = Literal["", "changed", "missing"]
 """State of the session file since its diagnosis; "" if it is unchanged."""
@@ -296,3 +303,57 @@ def _keys(folder: Path) -> list[str]:
         return []
     keys = [name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)]
     return sorted((key for key in keys if KEY.fullmatch(key)), reverse=True)
+
+
+def run_diagnosis(plan: DiagnosisPlan, control: Control, *, separate_process: bool) -> DiagnosisResult:
+    """Diagnose a session, in other processes if ``separate_process`` is true.
+
+    Raises:
+        UnusableInputError: the session, the twin or the numbers of tests cannot be used.
+        CancelledError: it was cancelled.
+    """
+    from tissueid.procedures.separate_process import run_in_process
+
+    if separate_process:
+        return run_in_process(functools.partial(_diagnosed, plan), control)
+    return _diagnosed(plan.model_copy(update={"workers": 1}), control)
+
+
+def _diagnosed(plan: DiagnosisPlan, control: Control) -> DiagnosisResult:
+    # Imported here and not above: the window should not wait for what only this needs.
+    from tissueid.procedures.diagnosis import diagnose_session
+
+    stamp = stamp_of(plan.session)
+    return result_of(diagnose_session(plan, control), stamp)
+
+
+def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> DiagnosisResult:
+    """Return the values of a diagnosis that the page shows and stores, without its records.
+
+    Args:
+        diagnosed: the diagnosis.
+        stamp: of the session file, from before it was read.
+    """
+    from tissueid.gap import as_answer
+
+    found, session, named = diagnosed.found, diagnosed.session, diagnosed.named
+    return DiagnosisResult(
+        diagnosed.plan,
+        session.session_id,
+        found.dataset.instrument,
+        diagnosed.twin,
+        page_content_of(found, session),
+        finite(as_answer(found)),
+        diagnosed.report_html,
+        named.twin,
+        named.refused,
+        stamp,
+    )
+
+
+def page_content_of(found: Diagnosis, session: Session) -> PageContent:
+    """Return the content of the page for a diagnosis."""
+    from tissueid.app.views.gap.next_test import proposal_of
+    from tissueid.gap.answer import content_of
+
+    return PageContent(**vars(content_of(found)), proposal=proposal_of(found, session))

@@ -1,4 +1,4 @@
-"""Input panel of the Gap page: session, baseline twin, and the tests to fit and to check."""
+"""Input panel of the Gap page, and the loading of kept diagnoses and of titles of sessions."""
 
 from __future__ import annotations
 

@@ -62,7 +62,8 @@ class BarTable(QTableWidget):
         bold = [place for place, (_words, _share, is_bold) in enumerate(rows) if is_bold]
         build.fill_table(self, [words for words, _share, _bold in rows], bold)
         for place, (_words, share, _bold) in enumerate(rows):
-            self.item(place, self._bars).setData(_SHARE, share)
+            if (item := self.item(place, self._bars)) is not None:
+                item.setData(_SHARE, share)
 
 
 class _Bar(QStyledItemDelegate):

@@ -32,10 +32,10 @@ from tissueid.app.views.gap.diagnosis_result import (
     keep,
     proposed_twin,
     remove,
+    run_diagnosis,
     why_not_accepted,
     write_report,
 )
-from tissueid.app.views.gap.diagnosis_run import run_diagnosis
 from tissueid.app.views.gap.next_test import prepared_words, session_url
 from tissueid.app.views.gap.page_content import as_title
 from tissueid.app.views.gap.request_panel import DiagnosisLoader, RequestPanel

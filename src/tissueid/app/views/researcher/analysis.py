@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,13 +21,11 @@ from tissueid.app.context import AppContext
 from tissueid.app.jobs import JobControl
 from tissueid.app.small_window import FoldingSplitter
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
-from tissueid.app.views.researcher.calibration_button import CalibrationButton
 from tissueid.app.views.researcher.engine_form import EngineForm
-from tissueid.app.views.researcher.engine_outcome import MOST_TESTS, AnalysisTask, EngineOutcome
-from tissueid.app.views.researcher.history_list import STATE, HistoryList, restore_state, saved_state
-from tissueid.app.views.researcher.pictures import Pictures
+from tissueid.app.views.researcher.engine_outcome import MOST_TESTS, AnalysisTask, EngineOutcome, Preparation
+from tissueid.app.views.researcher.outcome_tabs import HistoryList, RecommendationView
+from tissueid.app.views.researcher.pictures import CalibrationButton, Pictures
 from tissueid.app.views.researcher.population_view import PopulationView
-from tissueid.app.views.researcher.recommendation_view import RecommendationView
 from tissueid.app.views.researcher.results_store import (
     MOST_RESULTS,
     NAME,
@@ -48,6 +47,8 @@ from tissueid.procedures.control import Control, RemainingTime
 
 _LOOK_MS = 100
 _TOLD = 3
+STATE = "research/analysis"
+_LONGEST_STATE = 100_000
 _GRACE_S = 60.0
 """How long the fit at hand may take after a cancellation before the results so far are given up, s."""
 _FORM_WIDTH = 232
@@ -127,7 +128,7 @@ class AnalysisPanel(QWidget):
         self._looking = build.timer(self, _LOOK_MS, self._look, repeat=True)
         self._connect()
         self._read_history()
-        restore_state(self.context.settings.value(STATE), self.form, self.verdicts, self.pictures.choice, self.tabs)
+        self.restore_state(self.context.settings.value(STATE))
         self._rest()
 
     def _arrange(self) -> None:
@@ -193,7 +194,33 @@ class AnalysisPanel(QWidget):
                 write_results(self._kept_in, self.results.outcomes)
             except OSError as error:
                 self.context.say(in_words(error), problem=True)
-        self.context.settings.setValue(STATE, saved_state(self.form, self.verdicts, self.pictures.choice, self.tabs))
+        state = {
+            "engine": self.form.name,
+            "options": self.form.all_options(),
+            "signals": self.form.signals,
+            "together": self.form.together.isChecked(),
+            "preparation": self.form.preparation.value().model_dump(),
+            "compared": self.verdicts.compared,
+            "picture": self.pictures.choice.currentData(),
+            "tab": self.tabs.currentIndex(),
+        }
+        self.context.settings.setValue(STATE, json.dumps(state))
+
+    def restore_state(self, saved: object) -> None:
+        """Restore the saved state; invalid content is ignored."""
+        form, picture = self.form, self.pictures.choice
+        try:
+            state = json.loads(saved) if isinstance(saved, str) and len(saved) <= _LONGEST_STATE else {}
+            form.restore(dict(state.get("options", {})))
+            form.choose(str(state.get("engine", form.name)))
+            into, out = map(str, state.get("signals", form.signals))
+            form.take_signals(into, out, state.get("together") is True)
+            form.preparation.set_value(Preparation.model_validate(state.get("preparation", {})))
+            self.verdicts.take_compared([str(name) for name in state.get("compared", ())])
+            picture.setCurrentIndex(max(0, picture.findData(str(state.get("picture", "")))))
+            self.tabs.setCurrentIndex(int(state.get("tab", 0)))
+        except (TissueIDError, ValueError, TypeError, AttributeError, RecursionError):
+            form.restore({})
 
     # -- running ------------------------------------------------------------------------------------------
 

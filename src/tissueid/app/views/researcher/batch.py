@@ -10,15 +10,15 @@ from pathlib import Path
 from tissueid.analysis import EngineComparison, analyse, specifications
 from tissueid.app.user_files import stamp_of
 from tissueid.app.views.researcher.engine_outcome import MOST_TESTS, AnalysisTask, EngineOutcome
-from tissueid.app.views.researcher.recommendation_view import ComparisonSummary, summary_of
 from tissueid.app.views.researcher.results_store import AnalysisHistory, HistoryEntry
 from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
-from tissueid.formatting import clean, fixed, subject_text
+from tissueid.formatting import clean, fixed, grouped, subject_text
 from tissueid.identification import engine_label
+from tissueid.identification.recommendation_messages import ModelStanding
 from tissueid.language import _, marked
-from tissueid.messages import Listing, Message, Verbatim, translated
+from tissueid.messages import MISSING, Listing, Message, Verbatim, translated
 from tissueid.procedures.control import Control
 from tissueid.procedures.identification import compare_engines
 from tissueid.sessions import Session, read_session
@@ -286,3 +286,72 @@ def find_tests(folder: Path, control: Control) -> tuple[list[SelectedTest], list
             _("The folder holds {count} tests; the first {most} are used.").format(count=len(tests), most=MOST_TESTS)
         )
     return tests[:MOST_TESTS], problems
+
+
+@dataclass(frozen=True)
+class ComparisonSummary:
+    """The recommendation for one test. ``rows`` are the standings, best first: see ``COLUMNS``."""
+
+    label: str
+    headline: str
+    judged_on: str
+    reasons: tuple[str, ...]
+    doubts: tuple[str, ...]
+    experiments: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+COLUMNS = (
+    marked("Engine"),
+    marked("Verdict"),
+    marked("VAF held out (%)"),
+    marked("VAF fitted (%)"),
+    marked("Below the best (points)"),
+    "AICc",
+    marked("Kind"),
+)
+
+
+def summary_of(found: EngineComparison, tests: tuple[SelectedTest, ...]) -> ComparisonSummary:
+    """Return the summary of a comparison; refused engines come last, with the reason."""
+    said = found.recommendation
+    recommended = (said.engine, said.second_order)
+    rows = [_standing(one, (one.engine, one.second_order) == recommended) for one in said.standings]
+    rows += [
+        (engine_label(entry.engine), _("refused"), *[MISSING] * 4, sentence(translated(entry.refused)))
+        for entry in found.entries
+        if entry.refused
+    ]
+    headline, *reasons = map(translated, said.sentences)
+    ceiling = found.ceiling
+    if ceiling is not None:
+        reasons.append(_("Repeats of the test allow {vaf} % at best.").format(vaf=fixed(ceiling.vaf_percent.value, 2)))
+    label = (
+        clean(tests[0].label)
+        if len(tests) == 1
+        else _("{first} and {count} more").format(first=clean(tests[0].label), count=len(tests) - 1)
+    )
+    return ComparisonSummary(
+        label,
+        sentence(headline),
+        sentence(_("judged on {data}").format(data=translated(said.judged_on))),
+        tuple(map(sentence, reasons)),
+        tuple(sentence(translated(doubt)) for doubt in said.doubts),
+        tuple(sentence(translated(words)) for words in said.experiments),
+        tuple(rows),
+    )
+
+
+def _standing(one: ModelStanding, recommended: bool) -> tuple[str, ...]:
+    name = engine_label(one.engine) + (_(", mass, damping and stiffness") if one.second_order else "")
+    behind = one.behind
+    how = fixed(behind.points, 2) + (f" ± {fixed(behind.std_points, 2)}" if behind.points else "")
+    return (
+        name,
+        _("recommended") if recommended else _("clearly worse") if one.beaten else _("as good"),
+        fixed(one.vaf_percent, 2),
+        fixed(one.vaf_fitted_percent, 2),
+        how,
+        grouped(one.aicc),
+        _(str(one.family)),
+    )

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QLabel, QWidget
+from PySide6.QtWidgets import QLabel, QPushButton, QWidget
 
+from tissueid.analysis.curves.overlay_plots import calibration_curves
 from tissueid.analysis.curves.plot import Curve
 from tissueid.app import build
+from tissueid.app.context import AppContext
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import LIGHT, appearance
 from tissueid.app.views.researcher.engine_outcome import (
@@ -26,9 +30,13 @@ from tissueid.app.views.researcher.engine_outcome import (
     overlay,
 )
 from tissueid.app.views.researcher.results_table import SERIES
+from tissueid.app.words import in_words
+from tissueid.calibration.status import calibration_folder
+from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import fixed
 from tissueid.language import _, marked
 from tissueid.messages import Verbatim, translated
+from tissueid.procedures.overlay import sweep_columns
 from tissueid.units import shown
 
 if TYPE_CHECKING:
@@ -179,10 +187,10 @@ class KernelPlot(QWidget):
         self._plots: list[Plot] = []
         self._groups: list[tuple[Plot, ...]] = []
         self.back = build.button(_("Reset view"), self.canvas.show_everything, tip=_("Look at it as at first (Home)"))
-        toggle = {"checkable": True, "role": "toggle", "auto_exclusive": True}
-        self.flat = build.button(_("Image"), tip=_("Seen from above, every value a colour"), **toggle)
-        raising = _("In space, every value a height; it can be turned")
-        self.raised = build.button(_("Surface"), tip=raising, **toggle)
+        self.flat = build.button(_("Image"), tip=_("Seen from above, every value a colour"))
+        self.raised = build.button(_("Surface"), tip=_("In space, every value a height; it can be turned"))
+        for button in (self.flat, self.raised):
+            build.styled(button, checkable=True, role="toggle", auto_exclusive=True)
         top = build.row((self.choice, 1), self.back, self.flat, self.raised, spacing=4)
         self.flat.setChecked(True)
         self.raised.toggled.connect(self._show)
@@ -428,3 +436,39 @@ def _scores(outcome: EngineOutcome) -> str:
         if scheduled is None
         else _("{vaf} (scheduled {scheduled} %)").format(vaf=words, scheduled=fixed(scheduled, 1))
     )
+
+
+class CalibrationButton(QPushButton):
+    """Checked while a sweep lies below the results; asks for its file, or takes it away."""
+
+    def __init__(self, context: AppContext, pictures: Pictures) -> None:
+        super().__init__(_("Calibration…"))
+        self._context, self._pictures = context, pictures
+        build.styled(
+            self,
+            checkable=True,
+            name=_("Draw a calibration below the results"),
+            tip=_("Draw mass, damping and stiffness of a dynamic sweep below the results against depth"),
+        )
+        self.clicked.connect(self._choose)
+
+    def draw_sweep(self, path: Path) -> None:
+        """Draw a dynamic sweep (Chen 2010, Figs. 3.13 and 5.9)."""
+        try:
+            self._pictures.show_calibration(calibration_curves(sweep_columns(path)))
+        except TissueIDError as error:
+            self._context.say(in_words(error), problem=True)
+        self._check()
+
+    def _choose(self, wanted: bool) -> None:
+        if not wanted:
+            self._pictures.show_calibration({})
+            return
+        folder = None
+        with suppress(UnusableInputError):
+            folder = calibration_folder()
+        dialog = build.ask_path(self, _("Dynamic sweep"), folder, self.draw_sweep, "TOML (*.toml)")
+        dialog.finished.connect(self._check)
+
+    def _check(self) -> None:
+        self.setChecked(self._pictures.calibrated)

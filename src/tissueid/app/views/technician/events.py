@@ -1,4 +1,4 @@
-"""Faults and ends of tests from the audit log and the sessions of a folder, each once, with advice."""
+"""The audit log as far as it is read, and faults and ends of tests from it and from sessions, with advice."""
 
 from __future__ import annotations
 

@@ -1,23 +1,348 @@
-"""The page ``instrument`` for technicians: health, calibrations, faults and the audit log."""
+"""The page ``instrument`` for technicians, and its first tab: health, calibrations, faults and the audit log."""
 
 from __future__ import annotations
 
+import functools
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
-from PySide6.QtCore import Qt
-from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import QAbstractButton, QLabel, QWidget
+import numpy as np
+from PySide6.QtCore import QPointF, Qt
+from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QShowEvent
+from PySide6.QtWidgets import QAbstractButton, QFrame, QLabel, QWidget
 
 from tissueid.app import build
 from tissueid.app.build import button, column, styled, timer
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import PageJob
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import appearance, faint
 from tissueid.app.views.technician.calibrations import CalibrationsTab
-from tissueid.app.views.technician.health import HealthTab
+from tissueid.app.views.technician.checkup import Background, LastTest, Light, background, light
+from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.log_tabs import AuditTab, FaultsTab, SearchedTab
-from tissueid.app.views.technician.tab import Tab
+from tissueid.app.views.technician.tab import FactsCard, Tab
+from tissueid.app.widgets import plain_tip, show_level
+from tissueid.app.words import calibration_state
+from tissueid.calibration.active import apply_calibrations
+from tissueid.calibration.file import Calibration
 from tissueid.device import DeviceDescription
+from tissueid.formatting import clean, figure_text, fixed, grouped, number
 from tissueid.language import _, marked
+from tissueid.procedures.instruments import Checkup, LinkStatistics, run_checkup
+from tissueid.units import unit_of
+
+_LEVELS = ("poor", "check", "good")
+_WORDS = {"poor": marked("red"), "check": marked("yellow"), "good": marked("green"), "": marked("dark")}
+_RADIUS = 12.0
+_STEP = 32.0
+
+
+class Lamps(QWidget):
+    """Red above yellow above green; the lit one is full and has a ring, the others are outlines."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._level = ""
+        self.setFixedSize(36, round(3 * _STEP + 4))
+        self.show_level("")
+
+    @property
+    def level(self) -> str:
+        """Level of the lit lamp."""
+        return self._level
+
+    def show_level(self, level: str) -> None:
+        """Light a lamp, or none."""
+        self._level = level
+        build.styled(
+            self,
+            name=_("Traffic light: {colour}").format(colour=_(_WORDS[level])),
+            tip=_("Traffic light: {colour}").format(colour=_(_WORDS[level])),
+        )
+        self.update()
+
+    def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
+        """Draw the lamps."""
+        super().paintEvent(event)
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        for row, level in enumerate(_LEVELS):
+            centre = QPointF(0.5 * self.width(), (row + 0.5) * _STEP + 2.0)
+            lit = level == self._level
+            colour = QColor(getattr(appearance.theme, level))
+            painter.setBrush(colour if lit else faint(appearance.theme.line, 120))
+            painter.setPen(QPen(colour if lit else QColor(appearance.theme.edge), 1.0))
+            painter.drawEllipse(centre, _RADIUS, _RADIUS)
+            if lit:
+                painter.setBrush(Qt.BrushStyle.NoBrush)
+                painter.setPen(QPen(colour, 1.5))
+                painter.drawEllipse(centre, _RADIUS + 3.0, _RADIUS + 3.0)
+        painter.end()
+
+
+_MOST_REASONS = 5
+_FORCE = "force_constant_n_per_a"
+
+
+class HealthTab(Tab):
+    """Asks the chosen instrument, in a job; the calibrations and the newest test are read without asking."""
+
+    def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
+        super().__init__(context, page_job, parent)
+        self._answer: Checkup | None = None
+        self._problem, self._failed_url = "", ""
+        self._known = Background(None, ())
+        self.lamps = Lamps()
+        self.headline = build.label("headline")
+        self.reasons = build.label()
+        self.chosen = build.label("muted")
+        self.ask = build.button(
+            _("Check the instrument"),
+            self.begin_asking,
+            tip=_("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)"),
+        )
+        self.identity = FactsCard(_("Instrument"))
+        self.state = FactsCard(_("Active calibration"))
+        self.link = FactsCard(_("Cable and samples"))
+        self.trend = PlotCard(
+            _("Force constant by date"),
+            _("Days from today"),
+            _("N per A"),
+            key={_("static"): "measured", _("sweep"): "model"},
+        )
+        self._static = self.trend.dots("measured", 7)
+        self._sweep = self.trend.dots("model", 7)
+        build.column(
+            self._make_verdict(),
+            build.row(*[(card, 1) for card in (self.identity, self.state, self.link)], spacing=8),
+            (self.trend, 1),
+            spacing=8,
+            margins=(0, 8, 0, 0),
+            parent=self,
+        )
+        self._show()
+        self._show_trend()
+
+    def _make_verdict(self) -> QFrame:
+        self.verdict = build.styled(QFrame(), role="verdict")
+        build.row(
+            self.lamps,
+            (build.column(self.headline, self.reasons, None, self.chosen, spacing=3), 1),
+            build.column(self.ask, None, spacing=14),
+            spacing=14,
+            margins=(12, 8, 12, 8),
+            parent=self.verdict,
+        )
+        return self.verdict
+
+    # -- work ---------------------------------------------------------------------------------------------
+
+    def load(self) -> None:
+        """Read the newest test and the calibrations."""
+        services = self.context.services
+        work = functools.partial(background, services.folder, services.calibrations, services.audit.path)
+        self.read_files(_("Reading calibrations and the newest test…"), work)
+
+    def _loaded(self, known: Background) -> None:
+        self._known, self.read = known, True
+        answer = self._answer
+        if answer is not None and not known.problem:  # its calibration may be another one now
+            device = apply_calibrations(answer.nominal, known.stored, datetime.now(UTC))
+            self._answer = replace(answer, device=device)
+        self.show_chosen()
+
+    def begin_asking(self) -> None:
+        """Ask the chosen instrument."""
+        if self.context.busy:
+            return
+        url = self.context.instrument()
+        if not url:
+            self.context.say(_("Choose an instrument on the page Measure first."), problem=True)
+            return
+        services = self.context.services
+        work = functools.partial(run_checkup, url, services.opener, services.calibrate)
+        self.page_job.start(_("Asking {url}…").format(url=clean(url)[:60]), work, self._answered, self._unanswered)
+
+    def _answered(self, checkup: Checkup) -> None:
+        self._answer, self._problem = checkup, ""
+        self.show_chosen()
+
+    def _unanswered(self, words: str) -> None:
+        if words:
+            self._answer, self._problem, self._failed_url = None, words, self.context.instrument()
+            self.show_chosen()
+
+    @property
+    def checkup(self) -> Checkup | None:
+        """The answer of the chosen instrument; None where it was not asked."""
+        answer = self._answer
+        return answer if answer is not None and answer.url == self.context.instrument() else None
+
+    # -- showing ------------------------------------------------------------------------------------------
+
+    def update_enabled(self, *, busy: bool) -> None:
+        """Asking is slow."""
+        self.ask.setEnabled(not busy)
+        self._name_chosen()
+
+    def show_chosen(self) -> None:
+        """Show what is known of the chosen instrument."""
+        self._show()
+        self._show_trend()
+
+    def _name_chosen(self) -> None:
+        url = clean(self.context.instrument())[:120]
+        words = (
+            _("Chosen on the page Measure: {url}").format(url=url)
+            if url
+            else _("No instrument is chosen on the page Measure.")
+        )
+        self.chosen.setText(words)
+
+    @property
+    def light(self) -> Light:
+        """The traffic light of the instrument."""
+        problem = self._problem if self._failed_url == self.context.instrument() else ""
+        return light(self.checkup, problem, self._known.fault)
+
+    def _show(self) -> None:
+        found = self.light
+        self.lamps.show_level(found.level)
+        self.headline.setText(_(found.headline))
+        reasons = [_(reason) for reason in found.reasons]
+        more = len(reasons) - _MOST_REASONS
+        lines = [*reasons[:_MOST_REASONS], *([_("… and {count} more.").format(count=more)] if more > 0 else [])]
+        self.reasons.setText("\n".join(clean(line) for line in lines))
+        self.reasons.setToolTip(plain_tip("\n".join(clean(line) for line in reasons[:40])))
+        self.verdict.setAccessibleName(" ".join([_(found.headline), *reasons]))
+        for widget in (self.verdict, self.headline):
+            show_level(widget, found.level)
+        self._name_chosen()
+        self.identity.show_facts(_identity(self.checkup))
+        self.state.show_facts(_calibration(self.checkup, self._known))
+        self.link.show_facts(_link(self.checkup, self._known.last))
+
+    def _show_trend(self) -> None:
+        """The force constant of the asked instrument's calibrations; of the newest one's before it was asked."""
+        passed = [item.calibration for item in self._known.stored if item.calibration is not None]
+        passed = [item for item in passed if item.verdict == "passed" and _FORCE in item.quantities]
+        serial = self.checkup.device.serial_number if self.checkup else passed[0].serial_number if passed else ""
+        mine = [item for item in passed if item.serial_number == serial]
+        whose = _(" of {serial}").format(serial=clean(serial)[:40]) if serial else ""
+        self.trend.remark(clean(serial)[:40])
+        if not mine:
+            self.trend.say_missing(
+                _(
+                    "No calibration{whose} holds a force constant yet. “Calibrate…” under Calibrations makes one."
+                ).format(whose=whose)
+            )
+            return
+        self.trend.say_missing("")
+        now = datetime.now(UTC)
+        for dots, kind in ((self._static, "static"), (self._sweep, "sweep")):
+            kept = [item for item in mine if item.kind == kind]
+            dots.setData(*_dated(kept, now))
+        x, y = _dated(mine, now)
+        margin = max(0.02 * float(np.abs(y).max()), 0.15 * float(np.ptp(y)))
+        self.trend.plot.setYRange(float(y.min()) - margin, float(y.max()) + margin, padding=0.0)
+        self.trend.plot.setXRange(min(-1.0, 1.05 * float(x.min())), 0.02 * max(1.0, float(np.ptp(x))), padding=0.0)
+
+    def take_units(self) -> None:
+        """Show it in the units in force."""
+        self._show()
+
+
+def _dated(calibrations: list[Calibration], now: datetime) -> tuple[np.ndarray, np.ndarray]:
+    days = np.array([-item.age_days(now) for item in calibrations], np.float64)
+    return days, np.array([item.quantities[_FORCE].value for item in calibrations], np.float64)
+
+
+def _identity(checkup: Checkup | None) -> dict[str, str]:
+    if checkup is None:
+        return {_("Model"): _("not checked")}
+    device = checkup.device
+    clinical, research = checkup.limits["clinical"], checkup.limits["research"]
+    return {
+        _("Model"): clean(device.model)[:80],
+        _("Serial number"): clean(device.serial_number)[:60],
+        _("Firmware"): clean(device.firmware_version)[:40] or _("not reported"),
+        _("Protocol"): clean(device.protocol_version)[:20] or _("none, it is in this program"),
+        _("Temperature"): f"{fixed(checkup.temperature_c, 1)} °C",
+        _("Force limit"): _("{clinical} N clinical, {research} N research").format(
+            clinical=number(clinical.max_force_n), research=number(research.max_force_n)
+        ),
+        _("Position limits"): _("{low} to {high} {unit}").format(
+            low=figure_text("position", clinical.min_position_m),
+            high=figure_text("position", clinical.max_position_m),
+            unit=unit_of("position").symbol,
+        ),
+        _("Heat, time limit"): f"{number(clinical.max_temperature_c)} °C, {number(clinical.max_seconds)} s",
+    }
+
+
+def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
+    facts: dict[str, str] = {}
+    if known.problem:
+        facts[_("Folder")] = known.problem
+    else:
+        facts[_("Calibrations in the folder")] = grouped(len(known.stored))
+    if checkup is None:
+        return {_("State"): _("not checked")} | facts
+    device = checkup.device
+    held = device.calibration
+    facts = {_("State"): _(calibration_state(checkup.device).words)} | facts
+    for name, label in (("static", _("Static")), ("sweep", _("Sweep"))):
+        if held.get(f"{name}_file"):
+            facts[label] = f"{clean(str(held[f'{name}_file']))[:60]}, {clean(str(held.get(f'{name}_date', '')))[:10]}"
+    facts[_("Force constant")] = _("{value} N per A").format(value=number(device.force_constant_n_per_a))
+    facts[_("Resistance")] = f"{number(device.coil_resistance_ohm)} Ω"
+    mass = unit_of("mass")
+    facts[_("Moving mass")] = f"{number(mass.factor * device.moving_mass_kg)} {mass.symbol}"
+    facts[_("Uncertainty of force")] = f"{number(100.0 * device.calibration_relative_uncertainty, 2)} %"
+    return facts
+
+
+def _link(checkup: Checkup | None, last: LastTest | None) -> dict[str, str]:
+    facts: dict[str, str] = {}
+    if checkup is None:
+        facts[_("Now")] = _("not checked")
+    else:
+        facts[_("Samples")] = _("{samples}, {lost} of them lost").format(
+            samples=grouped(checkup.samples), lost=grouped(checkup.lost)
+        )
+        facts[_("Current with the coil free")] = f"{fixed(1e3 * checkup.resting_a, 1)} mA"
+        facts |= _cable(checkup.link)
+    if last is None:
+        return facts | {_("Newest test"): _("none in the folder of sessions")}
+    share = f" ({fixed(100.0 * last.lost / last.samples, 2)} %)" if last.samples and last.lost else ""
+    facts[_("Newest test")] = f"{moment(last.created)} UTC, {_(last.status)}"
+    asked = None if checkup is None else (checkup.nominal.model, checkup.nominal.serial_number)
+    other = asked is not None and (last.model, last.serial_number) != asked
+    name = clean(", ".join(filter(None, (last.model, last.serial_number))))[:80]
+    facts[_("– its instrument")] = _("another one: {name}").format(name=name) if other else name
+    facts[_("– its samples")] = _("{samples}, {lost} lost{share}").format(
+        samples=grouped(last.samples), lost=grouped(last.lost), share=share
+    )
+    facts[_("– its set-points")] = _("{late} blocks late, {held} samples held").format(
+        late=grouped(last.late_blocks), held=grouped(last.held_samples)
+    )
+    return facts
+
+
+def _cable(link: LinkStatistics | None) -> dict[str, str]:
+    if link is None:
+        return {_("Cable"): _("none: it is a simulation in this program")}
+    trip = _("not measured") if link.round_trip_s is None else f"{fixed(1e3 * link.round_trip_s, 1)} ms"
+    return {
+        _("Frames"): _("{frames}, {damaged} damaged").format(
+            frames=grouped(link.frames), damaged=grouped(link.damaged)
+        ),
+        _("Round trip"): trip,
+        _("Requests repeated"): grouped(link.repeated),
+    }
+
 
 _TAB = "instrument/tab"
 _TITLES = (marked("Health"), marked("Calibrations"), marked("Faults and events"), marked("Audit log"))
