@@ -14,7 +14,9 @@ from firmware_sim.laboratory import Recording
 from firmware_sim.laboratory.scenario_generation import NOMINAL, DrawnScenario, draw_scenario
 from tissueid.device import DeviceDescription
 from tissueid.gap.dataset import Dataset
+from tissueid.gap.diagnosis import Diagnosis, diagnose
 from tissueid.gap.preparation import prepare
+from tissueid.gap.workers import SerialExecutor
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
 from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
@@ -98,3 +100,13 @@ def with_friction(samples: int, weight_n: float = 0.0, resistance_ohm: float = 1
         signals[name] = getattr(read, name) + level * white
     test = Test(1, "stochastic", signals, RATE_HZ, surface_position_m=SURFACE_M)
     return prepare(Session(DeviceDescription(), tests=(test,)))
+
+
+FEW = ("dry_friction", "directional_damping")
+SAMPLES = 3000
+
+
+@cache
+def friction_diagnosis() -> Diagnosis:
+    """Return the diagnosis of a short session with dry friction, between two candidates."""
+    return diagnose(observed("dry_friction", samples=SAMPLES), SerialExecutor(), candidates=FEW)

@@ -425,7 +425,7 @@ def in_state(qtbot, opened, request):
             idle(window)
             page.tabs.setCurrentWidget(page.figures if part == "figures" else page.tests)
             if part == "progress":
-                page.asking.show_progress(0.5, "Analysing sessions: 20 of 40, about 12 s left")
+                page.asking.progress.show_progress(0.5, "Analysing sessions: 20 of 40, about 12 s left")
         elif name == "instrument":
             ui.views[name].tabs.setCurrentIndex(int(part) if part.isdigit() else 0)
         idle(window)

@@ -1,7 +1,23 @@
 """Fixtures that several files of tests share."""
 
+from app.views.gap_pages import diagnosed, friction, gap_page, made
 from app.views.research_hosts import host, opened, year
 from app.views.research_panels import held, history, open_panel, panel, strip, two
 from app.views.technician_pages import page
 
-__all__ = ["held", "history", "host", "open_panel", "opened", "page", "panel", "strip", "two", "year"]
+__all__ = [
+    "diagnosed",
+    "friction",
+    "gap_page",
+    "held",
+    "history",
+    "host",
+    "made",
+    "open_panel",
+    "opened",
+    "page",
+    "panel",
+    "strip",
+    "two",
+    "year",
+]

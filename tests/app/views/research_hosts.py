@@ -60,19 +60,27 @@ def year(tmp_path_factory):
 
 
 class Host(QMainWindow):
-    """What stands around the page, as far as it sees: jobs, settings, and somebody who hears what it says."""
+    """What stands around a page, as far as it sees: jobs, settings, and lists of what it says and asks for."""
 
-    def __init__(self, folder, ini):
+    testing = False
+
+    def __init__(self, folder, ini, page=ResearchView, **services):
         super().__init__()
         self.jobs = Jobs(self)
         self.settings = QSettings(str(ini), QSettings.Format.IniFormat)
-        self.said, self.opened = [], []
-        services = AppServices(folder=folder, separate_process=False)
-        none = [lambda *_: None] * 2
+        self.said, self.opened, self.prepared, self.shown = [], [], [], []
         context = AppContext(
-            services, AppState(self.jobs, "researcher"), self.settings, self.say, none[0], self.opened.append, *none
+            AppServices(folder=folder, separate_process=False, **services),
+            AppState(self.jobs, "researcher"),
+            self.settings,
+            self.say,
+            go=lambda _page: None,
+            open_session=self.opened.append,
+            prepare_test=lambda fields, words: self.prepared.append((fields, words)),
+            show_file=self.shown.append,
+            instrument=lambda: "simulated://forearm",
         )
-        self.view = ResearchView(context)
+        self.view = page(context)
         self.setCentralWidget(self.view)
         self.resize(1000, 580)
         self.view.apply_state()
@@ -95,8 +103,8 @@ def listed(view):
 def host(qtbot, tmp_path):
     hosts = []
 
-    def make(folder, ini=None):
-        hosts.append(Host(folder, ini or tmp_path / "window.ini"))
+    def make(folder, ini=None, page=ResearchView, **services):
+        hosts.append(Host(folder, ini or tmp_path / "window.ini", page, **services))
         view = hosts[-1].start()
         qtbot.waitUntil(hosts[-1].isActiveWindow, timeout=WAIT_MS)
         return hosts[-1], view

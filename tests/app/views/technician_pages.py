@@ -1,12 +1,16 @@
 """Calibrations, and the page Instrument on which they are shown, for its tests."""
 
+import functools
+
 import pytest
 from app.benches import WAIT_MS
 from app.test_window import idle
 from PySide6.QtCore import QItemSelectionModel, Qt
 
+from tissueid.app.views.technician.view import InstrumentView
 from tissueid.audit import AuditLog
 from tissueid.calibration import CalibratedQuantity, Calibration
+from tissueid.calibration.active import activate_calibration
 from tissueid.calibration.file import utc_date
 
 HEALTH, CALIBRATIONS, FAULTS, AUDIT = range(4)
@@ -48,15 +52,18 @@ def static(date="", resistance=12.0):
 
 
 @pytest.fixture
-def page(qtbot, open_window, calibrations, audit_file):
-    """Opens the window on the page, and waits until what it reads by itself is read."""
+def page(qtbot, open_window, host, bench, tmp_path, calibrations, audit_file):
+    """Opens the page, in the ``whole`` window or in one of its own, and waits until what it reads by itself is read."""
 
-    def make(tab=HEALTH, **changes):
-        services = dict(
-            first_page="instrument", role="technician", calibrations=calibrations, audit=AuditLog(audit_file)
-        )
-        window = open_window(**(services | changes))
-        view = next(view for view in window.pages.views if view.name == "instrument")
+    def make(tab=HEALTH, whole=False, **changes):
+        services = {"calibrations": calibrations, "audit": AuditLog(audit_file)} | changes
+        if whole:
+            window = open_window(**({"first_page": "instrument", "role": "technician"} | services))
+            view = window.ui.views["instrument"]
+        else:
+            calibrate = functools.partial(activate_calibration, folder=calibrations)
+            services = {"opener": bench.open, "calibrate": calibrate} | services
+            window, view = host(tmp_path, page=InstrumentView, **services)
         view.window_ = window
         rest(qtbot, view)
         choose(qtbot, view, tab)

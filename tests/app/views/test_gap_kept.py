@@ -5,101 +5,29 @@ import os
 import stat
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
-from app.benches import WAIT_MS
+from app.views.gap_pages import answer_dialog, idle, press, restarted
 from coded import begins, part_of, reads, says
-from gap_records import recorded
+from gap_records import FEW, SAMPLES, recorded
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFileDialog
 
-from tissueid.app.user_files import stamp_of
 from tissueid.app.views.gap import view
-from tissueid.app.views.gap.diagnosis_result import MOST_KEPT, default_folder, keep, new_key, read_kept, result_of
+from tissueid.app.views.gap.diagnosis_result import MOST_KEPT, default_folder, keep, new_key, read_kept
 from tissueid.app.views.gap.page_content import STATE_TITLES, as_title
 from tissueid.app.views.gap.view import EffectDialog
 from tissueid.errors import UnusableInputError
 from tissueid.gap import fit_tasks
-from tissueid.gap.diagnosis import diagnose
-from tissueid.gap.preparation import prepare
-from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import read_twin
 from tissueid.language import set_language
 from tissueid.messages import translated
-from tissueid.procedures.diagnosis import DiagnosedSession
-from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.sessions import Subject, write_session
 from tissueid.twin.catalogue import all_effects
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
-FEW = ("dry_friction", "directional_damping")
-SAMPLES = 3000
 WHEN = datetime(2026, 11, 23, 9, 0, tzinfo=UTC)
-
-
-@pytest.fixture(scope="module")
-def found():
-    return diagnose(prepare(recorded("dry_friction", samples=SAMPLES)), SerialExecutor(), candidates=FEW)
-
-
-@pytest.fixture
-def friction(tmp_path):
-    path = tmp_path / "friction.h5"
-    write_session(path, recorded("dry_friction", samples=SAMPLES))
-    return path
-
-
-@pytest.fixture(scope="module")
-def made(found):
-    """What the page keeps of the diagnosis; its report is drawn once."""
-    session = recorded("dry_friction", samples=SAMPLES)
-    return result_of(DiagnosedSession(DiagnosisPlan(session=Path("friction.h5")), session, None, found), None)
-
-
-@pytest.fixture
-def diagnosed(made, friction):
-    return replace(made, asked=DiagnosisPlan(session=friction), stamp=stamp_of(friction))
-
-
-@pytest.fixture
-def shown(qtbot, open_window):
-    """Opens a window on the page, waits for what it reads, and chooses the first diagnosis."""
-
-    def make(**changes):
-        window = open_window(first_page="gap", **changes)
-        page = window.ui.views["gap"]
-        idle(qtbot, window)
-        page.history.list.setCurrentRow(0)
-        return window, page
-
-    return make
-
-
-def idle(qtbot, window):
-    page = window.ui.views["gap"]
-    qtbot.waitUntil(lambda: read_all(window, page), timeout=WAIT_MS)
-
-
-def read_all(window, page):
-    return window.jobs.idle and not page.background.wanted and not page.asking.session.untitled
-
-
-def press(qtbot, widget):
-    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton)
-
-
-def closed(qtbot, window):
-    window.close()
-    qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
-
-
-def answer_dialog(page, path):
-    dialog = page.findChild(QFileDialog)
-    dialog.fileSelected.emit(str(path))
-    dialog.close()
 
 
 def files():
@@ -112,17 +40,16 @@ def at(result, number):
 
 
 def test_a_diagnosis_is_there_at_the_next_start_with_headline_odds_chain_and_curves(
-    qtbot, shown, friction, monkeypatch
+    qtbot, gap_page, friction, monkeypatch
 ):
     every = all_effects()
     monkeypatch.setattr(fit_tasks, "all_effects", lambda: {name: every[name] for name in FEW})
-    window, page = shown()
+    window, page = gap_page()
     press(qtbot, page.asking.run)
     idle(qtbot, window)
     before = page.history.result
     said = [page.result.headline.text(), page.result.todo.text(), page.result.far.closing.text()]
-    closed(qtbot, window)
-    _, page = shown()
+    _, page = restarted(qtbot, window, gap_page)
     assert page.history.list.count() == 1
     assert page.history.result is not before
     assert [page.result.headline.text(), page.result.todo.text(), page.result.far.closing.text()] == said
@@ -152,9 +79,9 @@ def test_kept_files_are_the_owners_alone_and_the_newest_twenty(diagnosed):
     assert json.loads(files()[0].read_text())["answer"]["verdict"] == "effect"
 
 
-def test_what_is_removed_is_gone_at_the_next_start_and_comes_back_with_undo(qtbot, shown, diagnosed):
+def test_what_is_removed_is_gone_at_the_next_start_and_comes_back_with_undo(qtbot, gap_page, diagnosed):
     keep(diagnosed, default_folder())
-    window, page = shown()
+    window, page = gap_page()
     press(qtbot, page.history.remove)
     assert files() == []
     qtbot.keyClick(page.history.list, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
@@ -162,12 +89,12 @@ def test_what_is_removed_is_gone_at_the_next_start_and_comes_back_with_undo(qtbo
     assert [path.stem for path in files()] == [diagnosed.key]
 
 
-def test_a_changed_session_is_marked_and_diagnosed_again_by_a_button(qtbot, shown, diagnosed, friction, monkeypatch):
+def test_a_changed_session_is_marked_and_diagnosed_again_by_a_button(qtbot, gap_page, diagnosed, friction, monkeypatch):
     asked = diagnosed.asked.model_copy(update={"fit": (1,), "check": (1,)})
     keep(replace(diagnosed, asked=asked), default_folder())
     friction.unlink()
     write_session(friction, recorded("dry_friction", samples=SAMPLES + 100))
-    window, page = shown()
+    window, page = gap_page()
     assert page.history.list.item(0).text().splitlines()[-1] == STATE_TITLES["changed"]
     assert page.history.state == "changed"
     assert page.result.stale.isVisible()
@@ -180,10 +107,10 @@ def test_a_changed_session_is_marked_and_diagnosed_again_by_a_button(qtbot, show
     assert [(item.session, item.fit, item.check) for item in asked] == [(friction, (1,), (1,))]
 
 
-def test_a_missing_session_is_marked_and_its_named_effect_still_makes_a_twin(qtbot, shown, diagnosed, tmp_path):
+def test_a_missing_session_is_marked_and_its_named_effect_still_makes_a_twin(qtbot, gap_page, diagnosed, tmp_path):
     keep(diagnosed, default_folder())
     diagnosed.asked.session.unlink()
-    window, page = shown()
+    window, page = gap_page()
     assert page.history.state == "missing"
     assert not page.result.again.isVisible()
     press(qtbot, page.result.accept)
@@ -194,22 +121,21 @@ def test_a_missing_session_is_marked_and_its_named_effect_still_makes_a_twin(qtb
     assert made.source.session_id == diagnosed.session_id
 
 
-def test_a_session_that_changes_while_the_window_is_open_is_marked_when_the_page_is_shown(qtbot, shown, diagnosed):
+def test_a_session_that_changes_while_the_window_is_open_is_marked_when_the_page_is_shown(qtbot, gap_page, diagnosed):
     keep(diagnosed, default_folder())
-    window, page = shown()
+    _, page = gap_page()
     assert page.history.state == ""
     path = diagnosed.asked.session
     os.utime(path, ns=(1, 1))
-    window.pages.show("start")
-    window.pages.show("gap")
+    page.enter()
     assert page.history.state == "changed"
     assert page.result.again.isVisible()
 
 
-def test_another_effect_is_fitted_to_the_session_of_a_kept_diagnosis(qtbot, shown, diagnosed, tmp_path):
+def test_another_effect_is_fitted_to_the_session_of_a_kept_diagnosis(qtbot, gap_page, diagnosed, tmp_path):
     offered = (("dry_friction", "Dry friction (40 %)", True), ("directional_damping", "Damping (37 %)", False))
     keep(replace(diagnosed, story=replace(diagnosed.story, offered=offered)), default_folder())
-    window, page = shown()
+    window, page = gap_page()
     press(qtbot, page.result.accept)
     choice = page.findChild(EffectDialog)
     choice.boxes["dry_friction"].setChecked(False)
@@ -220,10 +146,11 @@ def test_another_effect_is_fitted_to_the_session_of_a_kept_diagnosis(qtbot, show
     assert [item.name for item in read_twin(tmp_path / "other.toml").effects] == ["directional_damping"]
 
 
-def test_a_kept_diagnosis_is_shown_in_the_language_of_the_window(shown, diagnosed):
+def test_a_kept_diagnosis_is_shown_in_the_language_of_the_window(gap_page, diagnosed):
     keep(diagnosed, default_folder())
     try:
-        _, page = shown(language="de")
+        set_language("de")
+        _, page = gap_page()
         story = page.history.result.story
         texts = [story.headline, *story.means, *story.todo, story.closing, *story.stages[2].evidence]
         texts += [text for item in story.ranking for text in (item.title, item.signature, item.remedy)]
@@ -235,13 +162,12 @@ def test_a_kept_diagnosis_is_shown_in_the_language_of_the_window(shown, diagnose
         set_language("en")
 
 
-def test_report_and_answer_of_a_kept_diagnosis_are_those_that_were_made_with_it(qtbot, shown, diagnosed, tmp_path):
-    opened = []
+def test_report_and_answer_of_a_kept_diagnosis_are_those_that_were_made_with_it(qtbot, gap_page, diagnosed, tmp_path):
     keep(diagnosed, default_folder())
-    window, page = shown(show_file=lambda path: opened.append(path) or True)
+    window, page = gap_page()
     press(qtbot, page.result.report)
     idle(qtbot, window)
-    assert opened[0].read_text(encoding="utf-8") == diagnosed.report
+    assert window.shown[0].read_text(encoding="utf-8") == diagnosed.report
     press(qtbot, page.result.export)
     answer_dialog(page, tmp_path / "answer.json")
     idle(qtbot, window)
@@ -309,25 +235,25 @@ def test_a_kept_file_that_does_not_agree_with_itself_is_passed_over(diagnosed, s
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\x80\x04N.", b"[" * 100_000, b"null", b'{"format": "x"}'])
-def test_a_damaged_file_costs_one_line_and_no_other_diagnosis(shown, diagnosed, content):
+def test_a_damaged_file_costs_one_line_and_no_other_diagnosis(gap_page, diagnosed, content):
     keep(at(diagnosed, 1), default_folder())
     (default_folder() / f"{new_key(WHEN)}.json").write_bytes(content)
     (default_folder() / "notes.json").write_text("mine")
-    window, page = shown()
+    window, page = gap_page()
     assert page.history.list.count() == 1
     assert page.result.headline.text() == as_title(diagnosed.story.headline)
-    assert reads(window.ui.notice.text.text(), "gap.one_unreadable")
+    assert reads(window.said[-1], "gap.one_unreadable")
 
 
-def test_what_cannot_be_kept_is_said_and_the_diagnosis_is_shown_all_the_same(qtbot, shown, diagnosed, monkeypatch):
+def test_what_cannot_be_kept_is_said_and_the_diagnosis_is_shown_all_the_same(qtbot, gap_page, diagnosed, monkeypatch):
     default_folder().parent.mkdir(exist_ok=True)
     default_folder().write_text("a file where the folder should be")
     monkeypatch.setattr(view, "run_diagnosis", lambda *_args, **_options: diagnosed)
-    window, page = shown()
+    window, page = gap_page()
     press(qtbot, page.asking.run)
     idle(qtbot, window)
     assert page.history.result is diagnosed
-    assert begins(window.ui.notice.text.text(), "gap.not_kept")
+    assert begins(window.said[-1], "gap.not_kept")
 
 
 def test_what_could_not_be_read_again_is_not_written(diagnosed):
@@ -338,12 +264,12 @@ def test_what_could_not_be_read_again_is_not_written(diagnosed):
     assert not default_folder().exists()
 
 
-def test_sessions_are_listed_by_subject_site_date_and_test_with_their_files_as_tool_tips(shown, tmp_path):
+def test_sessions_are_listed_by_subject_site_date_and_test_with_their_files_as_tool_tips(gap_page, tmp_path):
     session = recorded("dry_friction", samples=SAMPLES)
     test = replace(session.tests[0], site="left calf")
     about = {"subject": Subject("P-007"), "created": "2026-11-23T09:14:00Z"}
     write_session(tmp_path / "one.h5", replace(session, tests=(test,), **about))
-    _, page = shown()
+    _, page = gap_page()
     choice = page.asking.session.choice
     words = choice.itemText(0)
     assert words.startswith("P-007, left calf, 2026-11-23 ")
@@ -351,13 +277,13 @@ def test_sessions_are_listed_by_subject_site_date_and_test_with_their_files_as_t
     assert choice.itemData(0, Qt.ItemDataRole.ToolTipRole) == str(tmp_path / "one.h5")
 
 
-def test_sessions_of_the_same_title_are_told_apart_by_their_files(shown, tmp_path):
+def test_sessions_of_the_same_title_are_told_apart_by_their_files(gap_page, tmp_path):
     created = "2026-11-23T09:14:00Z"
     session = replace(recorded("dry_friction", samples=SAMPLES), subject=Subject("P-007"), created=created)
     for name in ("a", "b"):
         write_session(tmp_path / f"{name}.h5", session)
     (tmp_path / "broken.h5").write_bytes(b"rubbish")
-    _, page = shown()
+    _, page = gap_page()
     choice = page.asking.session.choice
     words = [choice.itemText(place).split(", ") for place in range(choice.count())]
     assert sorted((item[0], item[-1]) for item in words) == [
@@ -368,24 +294,23 @@ def test_sessions_of_the_same_title_are_told_apart_by_their_files(shown, tmp_pat
 
 
 def test_files_from_elsewhere_are_offered_once_they_were_saved_or_opened_until_they_are_gone(
-    qtbot, shown, diagnosed, friction, tmp_path
+    qtbot, gap_page, diagnosed, friction, tmp_path
 ):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     keep(diagnosed, default_folder())
-    window, page = shown()
+    window, page = gap_page()
     press(qtbot, page.result.accept)
     answer_dialog(page, elsewhere / "mine.toml")
     idle(qtbot, window)
     for name in ("heard.h5", "opened.h5"):
         (elsewhere / name).write_bytes(friction.read_bytes())
-    window.state.session_saved.emit(elsewhere / "heard.h5")
-    window.files.take([elsewhere / "opened.h5"])
-    window.files.take([friction])
+    page.on_session_saved(elsewhere / "heard.h5")
+    page.offer_files([elsewhere / "opened.h5"])
+    page.offer_files([friction])
     idle(qtbot, window)
-    closed(qtbot, window)
     (elsewhere / "heard.h5").unlink()
-    window, page = shown()
+    window, page = restarted(qtbot, window, gap_page)
     session, twin = page.asking.session, page.asking.twin
     assert twin.choice.findData(str(elsewhere / "mine.toml")) > 0
     assert session.path == friction

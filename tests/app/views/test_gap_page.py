@@ -7,15 +7,14 @@ from dataclasses import replace
 import pytest
 from app.benches import WAIT_MS
 from app.tabbing import check_tabs
-from app.test_window import idle
+from app.views.gap_pages import answer_dialog, idle, press, restarted
 from coded import begins, part_of, reads, says, shows
-from gap_records import recorded
+from gap_records import FEW, SAMPLES, friction_diagnosis, recorded
 from golden.golden_page import check_golden_page, lines_of_widget
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
 
-from tissueid.app.user_files import stamp_of
-from tissueid.app.views.gap import diagnosis_result as diagnosis_run
+from tissueid.app.views.gap import diagnosis_result
 from tissueid.app.views.gap.diagnosis_result import page_content_of, why_not_accepted
 from tissueid.app.views.gap.next_test import session_url
 from tissueid.app.views.gap.page_content import STAGE_TITLES, VERDICT_TITLES, Proposal
@@ -29,94 +28,33 @@ from tissueid.gap.next_experiment import NextExperiment, candidate_tests, settin
 from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import TwinSource, content_of, device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import twins_in
-from tissueid.language import current_language, set_language
+from tissueid.language import set_language
 from tissueid.messages import translated
 from tissueid.procedures.control import counted
-from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.sessions import read_session, write_session
 from tissueid.test_settings import TestSettings
-from tissueid.twin import catalogue as shelf
+from tissueid.twin.catalogue import all_effects
 from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.effects.dry_friction import EFFECT as FRICTION
 from tissueid.twin.simulation import NamedTwin
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
-FEW = ("dry_friction", "directional_damping")
-SAMPLES = 3000
-
-
-@pytest.fixture(autouse=True)
-def _few_effects(monkeypatch):
-    everything = shelf.all_effects()
-    monkeypatch.setattr(fit_tasks, "all_effects", lambda: {name: everything[name] for name in FEW})
-
-
-def press(qtbot, widget):
-    qtbot.waitUntil(widget.isEnabled, timeout=WAIT_MS)  # a short job of the opening window may still run
-    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton)
-
-
-def page_of(window):
-    return window.ui.views["gap"]
-
-
-def wait(qtbot, window):
-    # Between the end of a reading job and the diagnosis that was asked for meanwhile, no job runs.
-    qtbot.waitUntil(lambda: window.jobs.idle and not page_of(window)._running, timeout=WAIT_MS)
-
 
 @pytest.fixture
-def friction(tmp_path):
-    path = tmp_path / "friction.h5"
-    write_session(path, recorded("dry_friction", samples=SAMPLES))
-    return path
+def shown(gap_page, diagnosed):
+    """Opens the page in which a session with dry friction was diagnosed."""
 
-
-@pytest.fixture(scope="module")
-def answers():
-    """Diagnoses by language, so that only the first test of each waits for it."""
-    return {}
-
-
-@pytest.fixture
-def diagnosed(qtbot, open_window, friction, answers, monkeypatch):
-    """Opens a window on the page in which a session with dry friction was diagnosed."""
-
-    result_of = diagnosis_run.result_of
-
-    def noted(diagnosed, *rest):
-        answers["found"] = diagnosed.found
-        return result_of(diagnosed, *rest)
-
-    def make(**changes):
-        window = open_window(first_page="gap", **changes)
-        page = page_of(window)
-        language = current_language()
-        if language not in answers:
-            with monkeypatch.context() as patch:
-                patch.setattr(diagnosis_run, "result_of", noted)
-                press(qtbot, page.asking.run)
-                wait(qtbot, window)
-            answers[language] = page.history.result
-        else:
-            page.history.add(
-                replace(answers[language], asked=DiagnosisPlan(session=friction), stamp=stamp_of(friction))
-            )
-        wait(qtbot, window)
+    def make(**services):
+        window, page = gap_page(**services)
+        page.history.add(diagnosed)
         return window, page
 
     return make
 
 
-def answer_dialog(page, path):
-    dialog = page.findChild(QFileDialog)
-    dialog.fileSelected.emit(str(path))
-    dialog.close()
-
-
-def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
-    _, page = diagnosed()
+def test_from_a_session_to_verdict_stage_and_effect(qtbot, shown):
+    _, page = shown()
     result = page.result
     assert result.isVisible()
     headline = page.history.result.story.headline
@@ -143,9 +81,9 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     assert not page.asking.stop.isVisible()
 
 
-def test_another_result_opens_at_the_top(diagnosed, qapp):
-    window, page = diagnosed()
-    window.resize(1100, 640)
+def test_another_result_opens_at_the_top(shown, qapp):
+    window, page = shown()
+    window.resize(1000, 560)
     qapp.processEvents()
     bar = page.result.verticalScrollBar()
     bar.setValue(bar.maximum())
@@ -155,16 +93,18 @@ def test_another_result_opens_at_the_top(diagnosed, qapp):
     assert bar.value() == 0
 
 
-def test_the_tab_key_visits_every_tab_of_a_diagnosis(qtbot, diagnosed):
-    window, page = diagnosed()
+def test_the_tab_key_visits_every_tab_of_a_diagnosis(qtbot, open_window, diagnosed):
+    window = open_window(first_page="gap")
+    page = window.ui.views["gap"]
+    page.history.add(diagnosed)
     for place in range(page.result.tabs.count()):
         page.result.tabs.setCurrentIndex(place)
         seen = check_tabs(qtbot, window)
         assert {page.history.list, page.result.accept, page.result.tabs.tabBar()} <= set(seen)
 
 
-def test_no_word_is_known_to_its_makers_alone(qtbot, diagnosed):
-    _, page = diagnosed()
+def test_no_word_is_known_to_its_makers_alone(qtbot, shown):
+    _, page = shown()
     result = page.result
     said = [label.text() for label in result.findChildren(QLabel)]
     for box in result.chain.stages.values():
@@ -180,10 +120,11 @@ def test_no_word_is_known_to_its_makers_alone(qtbot, diagnosed):
         assert words in told
 
 
-def test_in_german_it_is_as_wide_as_there_is_room(diagnosed, qapp):
+def test_in_german_it_is_as_wide_as_there_is_room(shown, qapp):
     try:
-        window, page = diagnosed(language="de")
-        window.resize(1280, 720)
+        set_language("de")
+        window, page = shown()
+        window.resize(1180, 600)
         qapp.processEvents()
         result = page.result
         assert result.widget().minimumSizeHint().width() <= result.viewport().width()
@@ -200,8 +141,8 @@ def test_in_german_it_is_as_wide_as_there_is_room(diagnosed, qapp):
         set_language("en")
 
 
-def test_stages_are_chosen_by_mouse_and_by_arrow_keys(qtbot, diagnosed):
-    _, page = diagnosed()
+def test_stages_are_chosen_by_mouse_and_by_arrow_keys(qtbot, shown):
+    _, page = shown()
     result = page.result
     press(qtbot, result.chain.stages["tissue"])
     assert result.stage.text() == "Evidence: Tissue"
@@ -213,25 +154,25 @@ def test_stages_are_chosen_by_mouse_and_by_arrow_keys(qtbot, diagnosed):
     assert [plot.y.unit for plot in result.far.signals.plots] == ["A", "mA"]
 
 
-def test_an_accepted_effect_becomes_a_twin_that_is_logged(qtbot, diagnosed, tmp_path, audit_file):
-    window, page = diagnosed(audit=AuditLog(audit_file))
+def test_an_accepted_effect_becomes_a_twin_that_is_logged(qtbot, shown, tmp_path, audit_file):
+    window, page = shown(audit=AuditLog(audit_file))
     path = tmp_path / "mine.toml"
     press(qtbot, page.result.accept)
     answer_dialog(page, path)
-    wait(qtbot, window)
+    idle(qtbot, window)
     assert [item.name for item in read_twin(path).effects] == ["dry_friction"]
-    assert "version 1, is saved" in window.ui.notice.text.text()
+    assert "version 1, is saved" in window.said[-1]
     assert [line.what for line in last_lines(audit_file, 9)][-1] == "twin.accepted"
     assert page.asking.twin.choice.findData(str(path)) > 0
     press(qtbot, page.result.accept)
     answer_dialog(page, tmp_path / "größe.toml")
-    wait(qtbot, window)
+    idle(qtbot, window)
     assert not (tmp_path / "größe.toml").exists()
-    assert "größe" in window.ui.notice.text.text()
+    assert "größe" in window.said[-1]
 
 
-def test_what_is_accepted_is_chosen_among_members_and_close_rivals(qtbot, diagnosed, tmp_path):
-    window, page = diagnosed()
+def test_what_is_accepted_is_chosen_among_members_and_close_rivals(qtbot, shown, tmp_path):
+    window, page = shown()
     offered = (
         ("dry_friction", "Dry friction (40 %)", True),
         ("directional_damping", "Damping & direction (37 %)", False),
@@ -247,34 +188,34 @@ def test_what_is_accepted_is_chosen_among_members_and_close_rivals(qtbot, diagno
     press(qtbot, choice.accept_button)
     path = tmp_path / "other.toml"
     answer_dialog(page, path)
-    wait(qtbot, window)
+    idle(qtbot, window)
     made = read_twin(path)
     assert [item.name for item in made.effects] == ["directional_damping"]
     assert made.source.verdict == "by hand"
 
 
-def test_report_and_answer_are_written_beside_the_session(qtbot, diagnosed, friction, tmp_path):
-    shown = []
-    window, page = diagnosed(show_file=lambda path: shown.append(path) or True)
+def test_report_and_answer_are_written_beside_the_session(qtbot, shown, friction, tmp_path):
+    window, page = shown()
     press(qtbot, page.result.report)
-    wait(qtbot, window)
-    assert shown == [friction.with_name("friction-gap.html")]
-    assert "Research use only" in shown[0].read_text(encoding="utf-8")
+    idle(qtbot, window)
+    assert window.shown == [friction.with_name("friction-gap.html")]
+    assert "Research use only" in window.shown[0].read_text(encoding="utf-8")
     press(qtbot, page.result.export)
     answer_dialog(page, tmp_path / "answer.json")
-    wait(qtbot, window)
+    idle(qtbot, window)
     found = json.loads((tmp_path / "answer.json").read_text())
     assert (found["verdict"], found["combination"]) == ("effect", ["dry_friction"])
 
 
-def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
+def test_no_gap_says_so_and_makes_no_twin(qtbot, gap_page, tmp_path, monkeypatch):
+    everything = all_effects()
+    monkeypatch.setattr(fit_tasks, "all_effects", lambda: {name: everything[name] for name in FEW})
     write_session(tmp_path / "clean.h5", recorded(samples=SAMPLES))
-    window = open_window(first_page="gap")
-    page = page_of(window)
+    window, page = gap_page()
     qtbot.keyClick(page.asking.run, Qt.Key.Key_Return)
     assert page.asking.stop.isVisible()
     assert not page.asking.run.isEnabled()
-    wait(qtbot, window)
+    idle(qtbot, window)
     assert says(page.history.result.story.headline, "gap.none")
     name, verdict = page.history.list.item(0).text().splitlines()
     assert (name, verdict) == (f"clean.h5  ·  {page.history.result.when.astimezone():%Y-%m-%d %H:%M}", "No gap")
@@ -293,8 +234,7 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     assert page.welcome.isVisible()
 
 
-@pytest.mark.parametrize("held", ["cancel", "close"])
-def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_window, friction, monkeypatch, held):
+def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_window, friction, monkeypatch):
     reached = threading.Event()
 
     def slow(plan, control):
@@ -303,20 +243,20 @@ def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_wi
         while not control.check():
             threading.Event().wait(0.005)
 
-    monkeypatch.setattr(diagnosis_run, "_diagnosed", slow)
+    monkeypatch.setattr(diagnosis_result, "_diagnosed", slow)
     window = open_window(first_page="gap")
-    page = page_of(window)
-    press(qtbot, page.asking.run)
-    qtbot.waitUntil(lambda: page.asking.doing.text() == "Fitting: 3 of 8", timeout=WAIT_MS)
-    assert reached.is_set()
-    if held == "cancel":
-        press(qtbot, page.asking.stop)
-        wait(qtbot, window)
-        assert reads(window.ui.notice.text.text(), "gap.cancelled")
-        assert page.asking.run.isEnabled()
-    else:
-        assert not window.close()
-        qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
+    page = window.ui.views["gap"]
+    for end in ("cancel", "close"):
+        reached.clear()
+        press(qtbot, page.asking.run)
+        qtbot.waitUntil(lambda: page.asking.doing.text() == "Fitting: 3 of 8", timeout=WAIT_MS)
+        assert reached.is_set()
+        if end == "cancel":
+            press(qtbot, page.asking.stop)
+            qtbot.waitUntil(page.asking.run.isEnabled, timeout=WAIT_MS)
+            assert reads(window.ui.notice.text.text(), "gap.cancelled")
+    assert not window.close()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
 
 
 @pytest.mark.parametrize(
@@ -329,57 +269,52 @@ def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_wi
         (lambda page, folder: page.asking.fit.setText("7"), "no test 7"),
     ],
 )
-def test_what_cannot_be_diagnosed_is_words(qtbot, open_window, friction, tmp_path, spoil, words):
+def test_what_cannot_be_diagnosed_is_words(qtbot, gap_page, friction, tmp_path, spoil, words):
     (tmp_path / "bad.toml").write_text("no = 1")
-    window = open_window(first_page="gap")
-    page = page_of(window)
+    window, page = gap_page()
     spoil(page, tmp_path)
     press(qtbot, page.asking.run)
-    wait(qtbot, window)
-    assert words in window.ui.notice.text.text()
+    idle(qtbot, window)
+    assert words in window.said[-1]
     assert page.history.result is None
     assert page.asking.run.isEnabled()
 
 
-def test_an_empty_folder_offers_nothing_until_a_session_is_heard_of(open_window, tmp_path, friction):
+def test_an_empty_folder_offers_nothing_until_a_session_is_heard_of(gap_page, tmp_path, friction):
     content = friction.read_bytes()
     friction.unlink()
-    window = open_window(first_page="gap")
-    page = page_of(window)
+    _, page = gap_page()
     assert page.asking.session.path is None
     assert not page.asking.run.isEnabled()
     friction.write_bytes(content)
-    window.state.session_saved.emit(friction)
+    page.on_session_saved(friction)
     assert page.asking.session.path == friction
     assert page.asking.run.isEnabled()
 
 
-def test_a_dropped_file_is_chosen_and_found_again_at_the_next_start(open_window, friction, tmp_path, qtbot):
+def test_a_dropped_file_is_chosen_and_found_again_at_the_next_start(gap_page, friction, tmp_path, qtbot):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     other = elsewhere / "<b>other.h5"
     other.write_bytes(friction.read_bytes())
-    window = open_window(first_page="gap")
-    page = page_of(window)
-    qtbot.waitUntil(lambda: idle(window) and not page.asking.session.untitled, timeout=WAIT_MS)
-    window.files.take([other])
+    window, page = gap_page()
+    page.offer_files([other])
+    idle(qtbot, window)
     assert page.asking.session.path == other
     named = page.asking.session.choice
     alike = named.itemText(named.findData(str(friction)))  # both have the same title, so the file name tells them apart
     assert alike.endswith(", test 1 (stochastic), friction.h5")
     assert named.currentText() == alike.replace("friction.h5", "<b>other.h5")
     page.asking.check.setText("2")
-    window.close()
-    again = page_of(open_window(first_page="gap"))
+    _, again = restarted(qtbot, window, gap_page)
     assert again.asking.session.path == other
     assert again.asking.check.text() == "2"
     assert again.asking.check.isVisible()
 
 
-def test_nothing_begins_beside_a_running_test(qtbot, open_window, friction):
-    window = open_window(first_page="gap")
-    page = page_of(window)
-    wait(qtbot, window)
+def test_nothing_begins_beside_a_running_test(qtbot, gap_page, friction):
+    window, page = gap_page()
+    idle(qtbot, window)
     page.update_enabled(busy=True, testing=True)
     for control in (page.asking.run, page.asking.session.choice, page.asking.open, page.asking.fold):
         assert not control.isEnabled()
@@ -396,8 +331,8 @@ def with_proposal(result, proposal):
     return replace(result, story=replace(result.story, proposal=proposal))
 
 
-def test_the_next_test_is_prepared_without_a_command_line(qtbot, diagnosed):
-    window, page = diagnosed()
+def test_the_next_test_is_prepared_without_a_command_line(qtbot, shown):
+    window, page = shown()
     fields = {"min_force_n": 1.5, "max_force_n": 9.0, "seconds": 3.0, "distribution": "uniform", "seed": 4}
     step = Proposal(STEPS[0][0], "Because.", STEPS, fields, "")
     page.history.add(with_proposal(page.history.result, step))
@@ -405,22 +340,15 @@ def test_the_next_test_is_prepared_without_a_command_line(qtbot, diagnosed):
     assert [page.result.next.gains.item(row, 1).text() for row in (0, 1)] == ["2.5 to 1", "1.2 to 1"]
     assert not page.result.next.findChildren(QLineEdit)
     press(qtbot, page.result.next.prepare)
-    form = window.ui.form
-    assert window.ui.page == "measure"
-    assert (
-        form.options["min_force_n"].value(),
-        form.options["max_force_n"].value(),
-        form.options["seconds"].value(),
-        form.options["seed"].value(),
-    ) == (1.5, 9, 3, 4)
-    assert not window.testing
-    assert "Prepared" in window.ui.notice.text.text()
+    (prepared, words) = window.prepared[-1]
+    assert prepared == fields
+    assert "Prepared" in words
 
 
 @pytest.mark.parametrize("kind", ["deeper", "slow_ramp"])
-def test_no_shell_command_stands_on_the_page(diagnosed, answers, friction, kind):
-    _, page = diagnosed()
-    found = answers["found"]
+def test_no_shell_command_stands_on_the_page(shown, friction, kind):
+    _, page = shown()
+    found = friction_diagnosis()
     settings = TestSettings(distribution="uniform", min_force_n=1.0, max_force_n=8.0)
     gains = {"deeper": 0.9, "slow_ramp": 0.3}
     step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, gains, settings)
@@ -441,30 +369,30 @@ PREPARED = {
 }
 
 
-@pytest.mark.parametrize("kind", PREPARED)
-def test_every_candidate_test_is_prepared_on_the_form(qtbot, diagnosed, answers, friction, kind):
-    window, page = diagnosed()
-    found = answers["found"]
-    chosen = next(item for item in candidate_tests(found.dataset) if item.kind == kind)
-    settings = settings_of(found.dataset, chosen)
-    step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, {kind: 0.9}, settings)
-    story = page_content_of(replace(found, next_experiment=step), read_session(friction))
-    page.history.add(replace(page.history.result, story=story))
-    page.result.tabs.setCurrentIndex(3)
-    stimulus, under, seconds = PREPARED[kind]
-    assert page.result.next.put.isVisible() == bool(under)
-    form = window.ui.form
-    form.fill({"kind": "spring"})
-    press(qtbot, page.result.next.prepare)
-    assert window.ui.page == "measure"
-    plan = form.plan()
-    assert (plan.stimulus, plan.kind) == (stimulus, under or None)
-    assert seconds is None or plan.seconds == pytest.approx(seconds)
-    assert form.subject.text() == ("" if under else read_session(friction).subject.pseudonym)
-    assert {"spring": "calibration spring", "free_air": "free air"}.get(kind, plan.site) == plan.site
-    assert ("under the probe" in form.summary.text()) == bool(under)
-    assert shows(window.ui.notice.text.text(), "gap.choose_instrument", model="desktop indenter")
-    assert plan.specification(2000.0) is not None
+def test_every_candidate_test_is_prepared_on_the_form(qtbot, open_window, diagnosed, friction):
+    window, found = open_window(first_page="gap"), friction_diagnosis()
+    page, form = window.ui.views["gap"], window.ui.form
+    for kind, (stimulus, under, seconds) in PREPARED.items():
+        window.pages.show("gap")
+        chosen = next(item for item in candidate_tests(found.dataset) if item.kind == kind)
+        settings = settings_of(found.dataset, chosen)
+        step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, {kind: 0.9}, settings)
+        story = page_content_of(replace(found, next_experiment=step), read_session(friction))
+        page.history.add(replace(diagnosed, story=story))
+        page.result.tabs.setCurrentIndex(3)
+        assert page.result.next.put.isVisible() == bool(under)
+        form.fill({"kind": "spring"})
+        press(qtbot, page.result.next.prepare)
+        assert window.ui.page == "measure"
+        assert not window.testing
+        plan = form.plan()
+        assert (plan.stimulus, plan.kind) == (stimulus, under or None)
+        assert seconds is None or plan.seconds == pytest.approx(seconds)
+        assert form.subject.text() == ("" if under else read_session(friction).subject.pseudonym)
+        assert {"spring": "calibration spring", "free_air": "free air"}.get(kind, plan.site) == plan.site
+        assert ("under the probe" in form.summary.text()) == bool(under)
+        assert shows(window.ui.notice.text.text(), "gap.choose_instrument", model="desktop indenter")
+        assert plan.specification(2000.0) is not None
 
 
 def test_the_simulated_twin_of_a_session_is_found_by_the_name_it_states(tmp_path):
@@ -479,8 +407,8 @@ def test_the_simulated_twin_of_a_session_is_found_by_the_name_it_states(tmp_path
     assert list(twins_in(tmp_path)) == [url]
 
 
-def test_a_test_that_the_form_cannot_do_is_done_by_hand(diagnosed):
-    _, page = diagnosed()
+def test_a_test_that_the_form_cannot_do_is_done_by_hand(shown):
+    _, page = shown()
     step = Proposal(STEPS[1][0], "Because.", STEPS, None, "By hand: press slowly.")
     page.history.add(with_proposal(page.history.result, step))
     page.result.tabs.setCurrentIndex(3)
@@ -489,8 +417,8 @@ def test_a_test_that_the_form_cannot_do_is_done_by_hand(diagnosed):
     assert not shown.prepare.isVisible()
 
 
-def test_names_sizes_and_keys(qtbot, diagnosed, qapp):
-    window, page = diagnosed()
+def test_names_sizes_and_keys(qtbot, shown, qapp):
+    window, page = shown()
     kinds = (QAbstractButton, QComboBox, QLineEdit, QTableWidget)
     every = [widget for kind in kinds for widget in page.findChildren(kind)]
     own = [item for item in every if not isinstance(item.parentWidget(), QComboBox | QTableWidget)]
@@ -498,7 +426,7 @@ def test_names_sizes_and_keys(qtbot, diagnosed, qapp):
     hidden = [item for item in own if item.focusPolicy() == Qt.FocusPolicy.NoFocus]
     assert [item for item in own if item not in named and item not in hidden] == []
     assert not [item for item in page.findChildren(QLabel) if "&" in item.text() and not item.text().startswith("<")]
-    window.resize(1100, 640)
+    window.resize(1000, 560)
     qapp.processEvents()
     assert page.result.widget().minimumSizeHint().width() <= page.result.viewport().width()
     visited = []
@@ -515,10 +443,11 @@ def test_names_sizes_and_keys(qtbot, diagnosed, qapp):
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_the_page_gap_reads_as_its_golden_page(diagnosed, language):
+def test_the_page_gap_reads_as_its_golden_page(shown, language):
     """Renew the pages by ``python tests/golden/renew.py``."""
     try:
-        _, page = diagnosed(language=language)
+        set_language(language)
+        _, page = shown()
         lines = []
         for place in range(page.result.tabs.count()):
             page.result.tabs.setCurrentIndex(place)

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 import pytest
 from coded import made, part_of, reads, says
-from gap_records import observed, recorded
+from gap_records import SAMPLES, friction_diagnosis, observed, recorded
 
 from tissueid.app.views.gap.diagnosis_result import page_content_of
 from tissueid.app.views.gap.page_content import as_title
@@ -27,24 +27,19 @@ from tissueid.reports.gap_panels import gap_panels
 from tissueid.twin.effect import STAGE_NAMES
 
 EFFECT, RIVAL, PARTNER = "dry_friction", "directional_damping", "latency"
-SAMPLES, SEED = 3000, 3
-
-
-@cache
-def diagnosis() -> Diagnosis:
-    return diagnose(observed(EFFECT, SEED, SAMPLES), SerialExecutor(), candidates=[EFFECT, RIVAL])
+SEED = 3
 
 
 @cache
 def with_twin() -> Diagnosis:
-    best = diagnosis().best
+    best = friction_diagnosis().best
     assert best is not None
     tests = with_prior_twin(observed(EFFECT, SEED, SAMPLES), twin_of(best, "accepted"))
     return diagnose(tests, SerialExecutor(), known=[EFFECT], candidates=[RIVAL])
 
 
 def synthetic(case: str) -> Diagnosis:
-    found = diagnosis()
+    found = friction_diagnosis()
     if case == "sure":
         return found
     if case == "doubtful":

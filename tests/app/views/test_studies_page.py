@@ -15,6 +15,7 @@ from tissueid.app.views.studies import view as studies_view
 from tissueid.app.views.studies.request_row import OptionsDialog, ProtocolDialog
 from tissueid.app.views.studies.study_data import NOT_ANALYSED, load_study
 from tissueid.app.views.studies.tests_tab import SITE, SUBJECT, WITHOUT
+from tissueid.app.views.studies.view import StudiesView
 from tissueid.errors import UnusableInputError
 from tissueid.procedures.session_store import FolderStore
 from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS
@@ -51,9 +52,27 @@ def recorded(tmp_path_factory):
     return path
 
 
+@pytest.fixture
+def open_page(qtbot, host, tmp_path):
+    """Opens the page in a window of its own, as another start of the program does."""
+
+    def make(before=None):
+        if before is not None:
+            before.view.save_state()
+        window, _ = host(tmp_path, page=StudiesView)
+        qtbot.waitUntil(lambda: idle(window) and not window.view.refresh_timer.isActive(), timeout=WAIT_MS)
+        return window
+
+    return make
+
+
+@pytest.fixture
+def window(open_page):
+    return open_page()
+
+
 def opened(qtbot, window, folder):
-    window.pages.show("studies")
-    page = window.ui.views["studies"]
+    page = window.view
     page.open_study(folder)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     return page
@@ -129,11 +148,11 @@ def test_columns_are_chosen(qtbot, window, folder):
 
 def test_a_folder_that_is_no_study_says_why(qtbot, window, folder, tmp_path):
     page = opened(qtbot, window, tmp_path / "nowhere")
-    assert shows(window.ui.notice.text.text(), "file.no_folder")
+    assert shows(window.said[-1], "file.no_folder")
     assert page.data is None
     (folder / RESULTS / "table.csv").write_text("rubbish")
     opened(qtbot, window, folder)
-    assert shows(window.ui.notice.text.text(), "study.table_unreadable")
+    assert shows(window.said[-1], "study.table_unreadable")
 
 
 # -- analysis -------------------------------------------------------------------------------------------------------
@@ -143,9 +162,8 @@ def choose_lms(page):
     page.asking.engine.setCurrentIndex(page.asking.engine.findData("lms"))
 
 
-def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
-    shown = []
-    window = open_window(show_file=lambda path: shown.append(path) or True)
+def test_a_study_is_analysed_drawn_and_reported(qtbot, open_page, recorded):
+    window = open_page()
     (recorded / "damaged.h5").write_bytes(b"rubbish" * 99)
     page = opened(qtbot, window, recorded)
     assert page.data.tests == 0
@@ -154,7 +172,7 @@ def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
     press(qtbot, page.asking.analyse)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert page.data.tests == 4 * SUBJECTS
-    assert shows(window.ui.notice.text.text(), "study.analysed", count=1)
+    assert shows(window.said[-1], "study.analysed", count=1)
     assert "damaged.h5: " in texts(page, SUBJECT)[0]
     assert NOT_ANALYSED not in texts(page, SUBJECT)[0]
     again = opened(qtbot, window, recorded)
@@ -162,7 +180,8 @@ def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
     assert page.asking.bar.isHidden()
     press(qtbot, page.asking.report)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert (recorded / RESULTS / "report.html").stat().st_size > 10_000
+    assert window.shown == [recorded / RESULTS / "report.html"]
+    assert window.shown[0].stat().st_size > 10_000
     page.tabs.setCurrentWidget(page.figures)
     titles = [page.figures.kind.itemText(place) for place in range(page.figures.kind.count())]
     assert titles[:3] == ["Subjects", "Sites", "Variation"]
@@ -221,7 +240,7 @@ def test_a_cancelled_analysis_continues(qtbot, window, tmp_path, monkeypatch):
     assert page.asking.stop.isVisible()
     assert not page.asking.analyse.isEnabled()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert shows(window.ui.notice.text.text(), "study.cancelled")
+    assert shows(window.said[-1], "study.cancelled")
     assert len(list((tmp_path / "s" / RESULTS).glob("lms-*/*.json"))) == 1
     monkeypatch.setattr(studies_view, "analyse_study", analyse)
     page.analyse()
@@ -229,8 +248,8 @@ def test_a_cancelled_analysis_continues(qtbot, window, tmp_path, monkeypatch):
     assert page.data.tests == 4
 
 
-def test_options_of_the_engine_are_chosen_in_a_form_and_kept(qtbot, open_window, recorded):
-    window = open_window()
+def test_options_of_the_engine_are_chosen_in_a_form_and_kept(qtbot, open_page, recorded):
+    window = open_page()
     page = opened(qtbot, window, recorded)
     choose_lms(page)
     press(qtbot, page.asking.options)
@@ -238,10 +257,8 @@ def test_options_of_the_engine_are_chosen_in_a_form_and_kept(qtbot, open_window,
     dialog.fields["memory"].set_value(0.04)
     dialog._save()
     assert page.asking.plan(recorded, workers=1).options == ("memory=0.04",)
-    window.close()
-    again = open_window()
-    again.pages.show("studies")
-    assert again.ui.views["studies"].asking.plan(recorded, workers=1).options == ("memory=0.04",)
+    page = open_page(window).view
+    assert page.asking.plan(recorded, workers=1).options == ("memory=0.04",)
     choose_lms(page)
     page.asking.engine.setCurrentIndex(0)
     assert page.asking.plan(recorded, workers=1).options == ()
@@ -250,8 +267,12 @@ def test_options_of_the_engine_are_chosen_in_a_form_and_kept(qtbot, open_window,
 # -- protocol and sitting -------------------------------------------------------------------------------------------
 
 
-def test_a_study_without_a_protocol_gets_one(qtbot, window, folder):
-    page = opened(qtbot, window, folder)
+def test_a_study_without_a_protocol_gets_one(qtbot, open_window, folder):
+    window = open_window()
+    window.pages.show("studies")
+    page = window.ui.views["studies"]
+    page.open_study(folder)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert not page.asking.measure.isVisible()
     press(qtbot, page.asking.template)
     assert not (folder / PROTOCOL_FILE).exists()
@@ -297,10 +318,9 @@ def test_a_protocol_is_changed_in_a_form(qtbot, window, folder):
     assert set(found.demographics) == {*before.demographics, "ethnicity"} - {"age_years"}
 
 
-def test_without_a_study_the_page_says_what_one_is_and_offers_recent_ones(qtbot, open_window, folder):
-    window = open_window()
-    window.pages.show("studies")
-    page = window.ui.views["studies"]
+def test_without_a_study_the_page_says_what_one_is_and_offers_recent_ones(qtbot, open_page, folder):
+    window = open_page()
+    page = window.view
     assert page.welcome.isVisible()
     assert not page.tabs.isVisible()
     assert not page.asking.recent.isVisible()
@@ -314,8 +334,7 @@ def test_without_a_study_the_page_says_what_one_is_and_offers_recent_ones(qtbot,
 
 
 def test_a_new_study_gets_its_folder(qtbot, window, tmp_path):
-    window.pages.show("studies")
-    page = window.ui.views["studies"]
+    page = window.view
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     page.asking.made.emit(tmp_path / "lotion 2")
     qtbot.waitUntil(lambda: page.data is not None and idle(window), timeout=WAIT_MS)
@@ -328,18 +347,16 @@ def test_a_bad_protocol_is_stated_on_the_page(qtbot, window, folder):
     (folder / PROTOCOL_FILE).write_text(json.dumps({"name": "x", "sites": []}))
     page = opened(qtbot, window, folder)
     assert shows(page.asking.protocol.text(), "protocol.no_site")
-    assert shows(window.ui.notice.text.text(), "protocol.no_site")
-    assert "'sites'" in window.ui.notice.text.text()
+    assert shows(window.said[-1], "protocol.no_site")
+    assert "'sites'" in window.said[-1]
     assert not page.asking.measure.isVisible()
     assert not page.asking.template.isVisible()
     assert page.data.tests == 3
 
 
-def test_the_last_study_is_opened_again(qtbot, open_window, folder):
-    window = open_window()
+def test_the_last_study_is_opened_again(qtbot, open_page, folder):
+    window = open_page()
     opened(qtbot, window, folder)
-    window.close()
-    again = open_window()
-    again.pages.show("studies")
-    qtbot.waitUntil(lambda: idle(again) and again.ui.views["studies"].data is not None, timeout=WAIT_MS)
-    assert again.ui.views["studies"].data.folder == folder
+    again = open_page(window)
+    qtbot.waitUntil(lambda: idle(again) and again.view.data is not None, timeout=WAIT_MS)
+    assert again.view.data.folder == folder

@@ -141,7 +141,7 @@ def test_closing_in_mid_work_waits_for_it_and_closes(qtbot, page, bench):
         assert go.wait(WAIT_MS / 1000)
         return bench.open(url)
 
-    view = page(opener=opener)
+    view = page(opener=opener, whole=True)
     window = view.window_
     press(qtbot, view.health.ask)
     qtbot.waitUntil(held.is_set, timeout=WAIT_MS)
@@ -277,7 +277,7 @@ def test_a_static_calibration_shows_figures_residuals_and_its_trend(qtbot, page,
 
 
 def test_the_way_to_a_calibration_is_a_technicians_and_begins_nothing(qtbot, page, bench):
-    view = page(CALIBRATIONS, role="clinician")
+    view = page(CALIBRATIONS, role="clinician", whole=True)
     press(qtbot, view.calibrations.calibrate)
     assert view.window_.ui.page == "instrument"
     assert "role Technician" in view.window_.ui.notice.text.text()
@@ -293,7 +293,7 @@ def test_the_way_to_a_calibration_is_a_technicians_and_begins_nothing(qtbot, pag
 
 def test_a_folder_that_is_not_there_is_said(qtbot, page, tmp_path):
     view = page(CALIBRATIONS, calibrations=tmp_path / "nowhere")
-    assert "nowhere" in view.window_.ui.notice.text.text()
+    assert "nowhere" in view.window_.said[-1]
     assert view.calibrations.model.rowCount() == 0
     assert view.calibrations.about.text() == view.context.unread
 
@@ -314,7 +314,7 @@ def test_the_page_instrument_reads_as_its_golden_page(qtbot, page, calibrations)
 
 def test_calibrations_are_judged_for_the_chosen_instrument_and_one_just_made_is_an_answer(qtbot, page, calibrations):
     write_calibration(calibrations / "a.toml", sweep())
-    view = page(HEALTH)
+    view = page(HEALTH, whole=True)
     window, tab = view.window_, view.calibrations
     press(qtbot, view.health.ask)
     rest(qtbot, view)

@@ -63,7 +63,7 @@ def mishaps(tmp_path, saved, audit_file):
 
 
 def test_faults_are_listed_once_with_what_to_do_and_their_session_is_opened(qtbot, page, mishaps):
-    view = page(FAULTS)
+    view = page(FAULTS, whole=True)
     faults = view.faults
     assert sorted(column(faults.model, 1)) == ["Fault", "Unreadable file"]
     select(faults.list, column(faults.model, 1).index("Fault"))
@@ -93,7 +93,7 @@ def test_empty_folders_and_no_log_are_no_trouble(qtbot, page, tmp_path):
     assert shows(view.audit.count.text(), "audit.missing", path=tmp_path / "none.jsonl")
     press(qtbot, view.audit.verify)
     rest(qtbot, view)
-    assert shows(view.window_.ui.notice.text.text(), "audit.missing", path=tmp_path / "none.jsonl")
+    assert shows(view.window_.said[-1], "audit.missing", path=tmp_path / "none.jsonl")
     assert view.audit.words.text() == "Not verified."
     assert not view.audit.export.isEnabled()
 
@@ -121,11 +121,11 @@ def test_the_log_is_shown_filtered_and_exported(qtbot, page, tmp_path, audit_fil
     rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
     assert [row[4] for row in rows] == ["what", "test.begun"]
     assert rows[1][5] == "'=cmd()"  # no formula of a spreadsheet
-    assert "1 lines" in view.window_.ui.notice.text.text()
+    assert "1 lines" in view.window_.said[-1]
     before = audit_file.read_bytes()
     audit.export_to(audit_file)
     rest(qtbot, view)
-    assert "audit log itself" in view.window_.ui.notice.text.text()
+    assert "audit log itself" in view.window_.said[-1]
     assert audit_file.read_bytes() == before
     audit.search.clear()
     audit.role.setFocus()
@@ -169,7 +169,7 @@ def test_rubbish_in_place_of_the_log_gives_words(qtbot, page, audit_file):
 
 
 def test_tab_filter_and_search_are_there_again_at_the_next_start(qtbot, page, open_window, audit_file):
-    view = page(AUDIT)
+    view = page(AUDIT, whole=True)
     view.audit.search.setText("calf")
     view.faults.kind.setCurrentText("Fault")
     view.window_.close()
@@ -201,7 +201,7 @@ def test_nothing_is_clipped_at_the_smallest_size(qtbot, page, calibrations, mish
     for number, date in enumerate(("", "2026-01-01T00:00:00Z")):
         write_calibration(calibrations / f"w{number}.toml", sweep(date=date))
         write_calibration(calibrations / f"s{number}.toml", static(date))
-    view = page()
+    view = page(whole=True)
     view.window_.resize(1100, 640)
     press(qtbot, view.health.ask)
     for tab in range(4):
@@ -214,7 +214,7 @@ def test_nothing_is_clipped_at_the_smallest_size(qtbot, page, calibrations, mish
 
 
 def test_the_tab_key_goes_through_each_tab_and_nothing_begins_beside_a_test(qtbot, page):
-    view = page()
+    view = page(whole=True)
     expected = {
         HEALTH: ["ask"],
         CALIBRATIONS: ["calibrate", "again", "list"],
