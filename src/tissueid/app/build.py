@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from PySide6.QtCore import QObject, QSignalBlocker, Qt, QTimer, SignalInstance
-from PySide6.QtGui import QFont, QKeySequence, QShortcut
+from PySide6.QtGui import QAction, QFont, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QBoxLayout,
     QComboBox,
@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
     QHeaderView,
     QLabel,
     QLayout,
+    QMenu,
     QProgressBar,
     QPushButton,
     QSplitter,
@@ -356,3 +357,18 @@ def fill_table(
                 if column in right:
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                 made.setItem(place, column, item)
+
+
+def show_text(made: QLabel, text: str) -> None:
+    """Show a text; an empty one hides the label."""
+    made.setText(text)
+    made.setVisible(bool(text))
+
+
+def add_check(
+    menu: QMenu, text: str, checked: bool, changed: Callable[[], object], data: object = None, enabled: bool = True
+) -> QAction:
+    """Add an entry with a check mark to a menu; ``changed`` is called when it is set or taken away."""
+    action = styled(menu.addAction(text), checkable=True, checked=checked, data=data, enabled=enabled)
+    action.toggled.connect(changed)
+    return action

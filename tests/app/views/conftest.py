@@ -2,7 +2,7 @@
 
 from app.views.gap_pages import diagnosed, friction, gap_page, made
 from app.views.research_hosts import host, opened, year
-from app.views.research_panels import held, history, open_panel, panel, strip, two
+from app.views.research_panels import held, history, open_panel, pair, panel, strip, two
 from app.views.technician_pages import page
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "open_panel",
     "opened",
     "page",
+    "pair",
     "panel",
     "strip",
     "two",

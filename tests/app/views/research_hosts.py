@@ -47,7 +47,7 @@ def save(path, *, subject="P-1", site="left forearm", created="2026-03-01T10:00:
     return path
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def year(tmp_path_factory):
     """Three sessions in nested folders, and two files that are none."""
     folder = tmp_path_factory.mktemp("year")

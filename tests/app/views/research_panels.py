@@ -1,7 +1,9 @@
 """The panel of analyses on a context of its own, and an engine that takes its time, for the tests of both."""
 
 import dataclasses
+import shutil
 import threading
+from pathlib import Path
 
 import pytest
 from app.benches import WAIT_MS
@@ -86,16 +88,20 @@ def chosen_of(path, subject="P-001", number=1):
     return SelectedTest(path, number, "left calf", subject, f"{subject} #{number}")
 
 
-@pytest.fixture
-def two(tmp_path, saved):
-    """Two sessions of the same record, of different subjects."""
-    session = read_session(saved)
-    paths = []
+@pytest.fixture(scope="session")
+def pair(tmp_path_factory, saved):
+    """A folder with two sessions of the same record, of different subjects."""
+    session, folder = read_session(saved), tmp_path_factory.mktemp("pair")
     for name in ("P-001", "P-002"):
-        path = tmp_path / f"{name}.h5"
-        write_session(path, dataclasses.replace(session, subject=dataclasses.replace(session.subject, pseudonym=name)))
-        paths.append(chosen_of(path, name))
-    return paths
+        subject = dataclasses.replace(session.subject, pseudonym=name)
+        write_session(folder / f"{name}.h5", dataclasses.replace(session, subject=subject))
+    return folder
+
+
+@pytest.fixture
+def two(tmp_path, pair):
+    """Copies of the two sessions that a test may change."""
+    return [chosen_of(Path(shutil.copy(path, tmp_path)), path.stem) for path in sorted(pair.iterdir())]
 
 
 def choose(panel, engine):

@@ -63,7 +63,7 @@ def page(qtbot, open_window, host, bench, tmp_path, calibrations, audit_file):
         else:
             calibrate = functools.partial(activate_calibration, folder=calibrations)
             services = {"opener": bench.open, "calibrate": calibrate} | services
-            window, view = host(tmp_path, page=InstrumentView, **services)
+            window, view = host(services.pop("folder", tmp_path), page=InstrumentView, **services)
         view.window_ = window
         rest(qtbot, view)
         choose(qtbot, view, tab)

@@ -103,6 +103,7 @@ def test_the_tab_key_visits_every_tab_of_a_diagnosis(qtbot, open_window, diagnos
         assert {page.history.list, page.result.accept, page.result.tabs.tabBar()} <= set(seen)
 
 
+@pytest.mark.soak
 def test_no_word_is_known_to_its_makers_alone(qtbot, shown):
     _, page = shown()
     result = page.result
@@ -120,6 +121,7 @@ def test_no_word_is_known_to_its_makers_alone(qtbot, shown):
         assert words in told
 
 
+@pytest.mark.soak
 def test_in_german_it_is_as_wide_as_there_is_room(shown, qapp):
     try:
         set_language("de")

@@ -260,6 +260,7 @@ def test_every_control_has_a_name_and_the_tab_key_reaches_it(qtbot, opened):
             assert widget.accessibleName() or getattr(widget, "text", str)(), widget
 
 
+@pytest.mark.soak
 def test_it_fits_the_smallest_window(qtbot, opened):
     window, view = opened()
     show(qtbot, window, view, (0,), tests=1)

@@ -197,6 +197,7 @@ def test_text_of_files_is_shown_as_it_stands(qtbot, page, calibrations):
     assert rich == []
 
 
+@pytest.mark.soak
 def test_nothing_is_clipped_at_the_smallest_size(qtbot, page, calibrations, mishaps):
     for number, date in enumerate(("", "2026-01-01T00:00:00Z")):
         write_calibration(calibrations / f"w{number}.toml", sweep(date=date))

@@ -308,17 +308,18 @@ class DiagnosisPage(QScrollArea):
             show_level(widget, "check" if state == "changed" else story.level)
         self.headline.setText(as_title(story.headline))
         for label, lines in ((self.means, story.means), (self.remarks, story.remarks)):
-            label.setText(" ".join(map(as_sentence, lines)))
-            label.setVisible(bool(lines))
-        self.todo.setText(_("What to do: {advice}").format(advice=" ".join(map(as_sentence, story.todo))))
-        self.todo.setVisible(bool(story.todo))
+            build.show_text(label, " ".join(map(as_sentence, lines)))
+        advised = _("What to do: {advice}").format(advice=" ".join(map(as_sentence, story.todo)))
+        build.show_text(self.todo, advised if story.todo else "")
         self.chain.show_shares([(item.stage, item.share, item.lit) for item in story.stages])
         first = story.at_fault[0] if story.at_fault else story.stages[0].stage
         self.chain.choose(first)
         self._show_stage(first)
         for tab in (self.where, self.which, self.far, self.next):
             tab.show_story(story)
-        self._show_state(state)
+        build.show_text(self.stale, _(_STALE[state]) if state else "")
+        self.again.setVisible(state == "changed")
+        self.accept.setVisible(state != "changed")
         self.verticalScrollBar().setValue(0)
 
     def update_enabled(self, *, busy: bool, testing: bool, working: bool) -> None:
@@ -326,12 +327,6 @@ class DiagnosisPage(QScrollArea):
         for button in self.buttons:
             button.setEnabled(not (busy or (working and button in (self.again, self.accept))))
         self.next.prepare.setEnabled(not testing)
-
-    def _show_state(self, state: State) -> None:
-        self.stale.setText(_(_STALE[state]) if state else "")
-        self.stale.setVisible(bool(state))
-        self.again.setVisible(state == "changed")
-        self.accept.setVisible(state != "changed")
 
     def _show_stage(self, stage: Stage) -> None:
         if self._story is None:

@@ -195,8 +195,7 @@ class CandidatesTab(QWidget):
         there = bool(self._rivals)
         self.table.setVisible(there)
         self._details.setVisible(there)
-        self.none.setText(translated(_NO_GAP if story.verdict == "no_gap" else _NO_TRACE))
-        self.none.setVisible(not there)
+        build.show_text(self.none, "" if there else translated(_NO_GAP if story.verdict == "no_gap" else _NO_TRACE))
         if there:
             self.table.clearSelection()
             self.table.selectRow(0)
@@ -211,14 +210,12 @@ class CandidatesTab(QWidget):
             return
         rival = self._rivals[row]
         self.title.setText(as_title(rival.title))
-        if rival.alike:
-            self.alike.setText(_("This data cannot separate it from: {alike}.").format(alike=translated(rival.alike)))
-        else:
-            self.alike.setText(_("This data separates it from every other candidate."))
+        alike = _("This data cannot separate it from: {alike}.").format(alike=translated(rival.alike))
+        self.alike.setText(alike if rival.alike else _("This data separates it from every other candidate."))
         self.leaves.setText(_("Signature: {signature}").format(signature=as_sentence(rival.signature)))
         self.remedy.setText(_("What to do: {advice}").format(advice=as_sentence(rival.remedy)) if rival.remedy else "")
-        self.figures.setText("\n".join([_("Fitted:"), *(_spoken(item) for item in rival.figures)]))
-        self.figures.setVisible(bool(rival.figures))
+        fitted = "\n".join([_("Fitted:"), *(_spoken(item) for item in rival.figures)])
+        build.show_text(self.figures, fitted if rival.figures else "")
 
     def _make_details(self) -> QWidget:
         inside = QWidget()
@@ -407,10 +404,8 @@ class NextTestTab(QWidget):
         clear = story.level == "good" and not any(item.alike for item in story.ranking if item.named)
         none = _NONE[story.verdict] if clear or story.verdict != "effect" else _NONE_SEPARATES
         self.why.setText(_(none) if step is None else as_sentence(step.why))
-        self.put.setText("" if step is None else as_sentence(step.put))
-        self.put.setVisible(bool(self.put.text()))
-        self.by_hand.setText("" if step is None else as_sentence(step.by_hand))
-        self.by_hand.setVisible(bool(self.by_hand.text()))
+        build.show_text(self.put, "" if step is None else as_sentence(step.put))
+        build.show_text(self.by_hand, "" if step is None else as_sentence(step.by_hand))
         self.prepare.setVisible(step is not None and step.fields is not None)
         self.gains.setVisible(step is not None)
         if step is not None:

@@ -111,7 +111,9 @@ class AnalysisPanel(QWidget):
             tip=_("Bring back the results that were taken out (Ctrl+Z in the table)"),
         )
         self.clear = build.button(
-            _("Clear"), self._clear, tip=_("Take all results out of the table (Delete: the selected ones)")
+            _("Clear"),
+            lambda: self._remove(list(self.results.outcomes)),
+            tip=_("Take all results out of the table (Delete: the selected ones)"),
         )
         self.population = PopulationView()
         self.verdicts = RecommendationView()
@@ -379,9 +381,6 @@ class AnalysisPanel(QWidget):
         self.tabs.setCurrentWidget(self.fits)
         self._draw()
 
-    def _clear(self) -> None:
-        self._remove(list(self.results.outcomes))
-
     # -- history and state --------------------------------------------------------------------------------
 
     def _read_history(self) -> None:
@@ -432,21 +431,25 @@ class AnalysisPanel(QWidget):
 
     def _enable(self) -> None:
         free = not self._working
-        self.run.setEnabled(free and bool(self._chosen))
-        self.compare.setEnabled(free and bool(self._chosen))
-        self.folder.setEnabled(free)
-        there = bool(self.results.outcomes)
+        there, save = bool(self.results.outcomes), bool(self.results.outcomes) and not self._busy
         if self._busy and (self.save_table.hasFocus() or self.save_figure.hasFocus()):
             self.results.setFocus()  # by itself the focus would go on to Clear, and Space would press that
-        self.save_table.setEnabled(there and not self._busy)
-        self.save_figure.setEnabled(there and not self._busy)
-        self.verdicts.save.setEnabled(not self._busy)
-        self.population.save_figure.setEnabled(there and not self._busy)
-        self.clear.setEnabled(there and self._work is None)
+        enabled = {
+            self.run: free and bool(self._chosen),
+            self.compare: free and bool(self._chosen),
+            self.folder: free,
+            self.save_table: save,
+            self.save_figure: save,
+            self.verdicts.save: not self._busy,
+            self.population.save_figure: save,
+            self.clear: there and self._work is None,
+            self.undo: self._work is None,
+            self.refit: free,
+        }
+        for button, usable in enabled.items():
+            button.setEnabled(usable)
         self.undo.setVisible(bool(self._before_removal))
-        self.undo.setEnabled(self._work is None)
         self.refit.setVisible(bool(self._without_curves))
-        self.refit.setEnabled(free)
         self.past.update_enabled(busy=not free)
         show_disabled_reason(self.waiting, self.context.jobs.why_no_work)
 

@@ -40,9 +40,7 @@ class RecommendationView(QWidget):
         self.engines = button(_("En&gines compared"))
         menu = QMenu(self.engines)
         self.engines.setMenu(menu)
-        self._actions = {name: menu.addAction(engine_label(name)) for name in engine_names()}
-        for action in self._actions.values():
-            styled(action, checkable=True, checked=True).toggled.connect(self._count)
+        self._actions = {name: build.add_check(menu, engine_label(name), True, self._count) for name in engine_names()}
         self.save = button(_("Table…"), name=_("Save the recommendation"), tip=_("Save table and reasons as CSV"))
         self.headline = label("headline")
         self.words = styled(

@@ -49,10 +49,9 @@ class AnalysisHistory:
         Raises:
             OSError: it is there and cannot be read.
         """
-        lines = self._tail()
         entries: list[HistoryEntry] = []
         bad = 0
-        for line in reversed(lines):
+        for line in reversed(self._tail()):
             if len(entries) == MOST_ENTRIES:
                 break
             try:
@@ -76,16 +75,6 @@ class AnalysisHistory:
                 self._replace(self._tail()[-MOST_ENTRIES // 2 :])
             with open(self.path, "ab", opener=private_opener) as file:
                 file.write(line if _ends_a_line(self.path) else b"\n" + line)
-
-    def clear(self) -> None:
-        """Remove all entries.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
-        with self._lock:
-            if self.path.exists():
-                self._replace(())
 
     def _replace(self, lines: Iterable[bytes]) -> None:
         with atomic_file(self.path) as partial:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ from PySide6.QtCore import (
     QItemSelectionModel,
     QModelIndex,
     QPersistentModelIndex,
+    QSignalBlocker,
     QSortFilterProxyModel,
     Qt,
     Signal,
@@ -83,7 +85,7 @@ class ResultsTable(QTableView):
             header, minimum_height=2 * header.fontMetrics().height() + _PADDING, resize_contents_precision=_MEASURED
         )
         self.sortByColumn(-1, Qt.SortOrder.AscendingOrder)
-        self.selectionModel().selectionChanged.connect(self._selected)
+        self.selectionModel().selectionChanged.connect(self.chosen_changed)
         header.sortIndicatorChanged.connect(self._make_room)
 
     @property
@@ -104,26 +106,24 @@ class ResultsTable(QTableView):
 
     def select(self, outcomes: Sequence[EngineOutcome]) -> None:
         """Select results without a signal."""
-        wanted = {id(outcome) for outcome in outcomes}
         flags = QItemSelectionModel.SelectionFlag.Select | QItemSelectionModel.SelectionFlag.Rows
-        model = self.selectionModel()
-        rows = [row for row in range(self._sorted.rowCount()) if id(self._model.outcomes[self._source(row)]) in wanted]
-        model.blockSignals(True)
-        model.clearSelection()
-        for row in rows:
-            model.select(self._sorted.index(row, 0), flags)
-        model.blockSignals(False)
+        model, rows = self.selectionModel(), self._rows_of(outcomes)
+        with QSignalBlocker(model):
+            model.clearSelection()
+            for row in rows:
+                model.select(self._sorted.index(row, 0), flags)
         if rows:
             self.scrollTo(self._sorted.index(rows[0], 0))
         self.viewport().update()
 
     def bring_up(self, outcomes: Sequence[EngineOutcome]) -> None:
         """Scroll the first of these results to the top."""
+        for row in self._rows_of(outcomes)[:1]:
+            self.scrollTo(self._sorted.index(row, 0), self.ScrollHint.PositionAtTop)
+
+    def _rows_of(self, outcomes: Sequence[EngineOutcome]) -> list[int]:
         wanted = {id(outcome) for outcome in outcomes}
-        for row in range(self._sorted.rowCount()):
-            if id(self._model.outcomes[self._source(row)]) in wanted:
-                self.scrollTo(self._sorted.index(row, 0), self.ScrollHint.PositionAtTop)
-                return
+        return [row for row in range(self._sorted.rowCount()) if id(self._model.outcomes[self._source(row)]) in wanted]
 
     def colour(self, drawn: Sequence[EngineOutcome]) -> None:
         """Mark the drawn results with their colours, in the order of ``SERIES``."""
@@ -181,9 +181,6 @@ class ResultsTable(QTableView):
     def _source(self, row: int) -> int:
         return self._sorted.mapToSource(self._sorted.index(row, 0)).row()
 
-    def _selected(self) -> None:
-        self.chosen_changed.emit()
-
 
 class _Results(QAbstractTableModel):
     """The results behind the view."""
@@ -200,12 +197,9 @@ class _Results(QAbstractTableModel):
         self.beginResetModel()
         self.outcomes = list(outcomes)
         reports = [outcome.report for outcome in outcomes if outcome.report is not None]
-        counts: dict[str, int] = {}
-        for report in reports:
-            for name in report.reportable_parameters:
-                counts[name] = counts.get(name, 0) + 1
+        counts = Counter(name for report in reports for name in report.reportable_parameters)
         # What most of them have stands first, so that it can be compared without scrolling.
-        self.parameters = sorted(counts, key=lambda name: -counts[name])
+        self.parameters = [name for name, _count in counts.most_common()]
         self.endResetModel()
 
     def colour(self, places: dict[int, int]) -> None:

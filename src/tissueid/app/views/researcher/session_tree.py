@@ -342,21 +342,21 @@ class SessionTree(QTreeView):
             selection_behavior=QAbstractItemView.SelectionBehavior.SelectRows,
             edit_triggers=QAbstractItemView.EditTrigger.NoEditTriggers,
             uniform_row_heights=True,
-        )
-        self.setStyleSheet("QTreeView::item { padding: 2px 0px; }")
-        build.styled(
-            self,
+            style_sheet="QTreeView::item { padding: 2px 0px; }",
             sorting_enabled=True,
             expands_on_double_click=False,
             tab_key_navigation=False,
             text_elide_mode=Qt.TextElideMode.ElideRight,
         )
-        self.header().setStretchLastSection(True)
-        self.header().setSectionsMovable(True)
-        self.header().setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
-        self.header().customContextMenuRequested.connect(self._offer_columns)
-        self.header().sectionResized.connect(self._take_width)
-        self.header().setToolTip(_("The menu chooses the columns; where there is no room, some are hidden"))
+        header = build.styled(
+            self.header(),
+            stretch_last_section=True,
+            sections_movable=True,
+            context_menu_policy=Qt.ContextMenuPolicy.CustomContextMenu,
+            tip=_("The menu chooses the columns; where there is no room, some are hidden"),
+        )
+        header.customContextMenuRequested.connect(self._offer_columns)
+        header.sectionResized.connect(self._take_width)
         self.sortByColumn(shown.sortColumn(), shown.sortOrder())
         self.doubleClicked.connect(self.opened)
 
@@ -402,15 +402,13 @@ class SessionTree(QTreeView):
         menu = build.styled(QMenu(self), attribute=Qt.WidgetAttribute.WA_DeleteOnClose)
         for column in range(1, self.header().count()):
             title = str(self.model().headerData(column, Qt.Orientation.Horizontal))
-            action = menu.addAction(title, functools.partial(self._want, column))
-            action.setCheckable(True)
-            action.setChecked(column not in self._unwanted)
+            build.add_check(menu, title, column not in self._unwanted, functools.partial(self._want, column))
         return menu
 
     def _offer_columns(self, place: QPoint) -> None:
         self.columns_menu().popup(self.header().mapToGlobal(place))
 
-    def _want(self, column: int) -> None:
+    def _want(self, column: int, _wanted: bool) -> None:
         self._unwanted ^= {column}
         self.fold()
 

@@ -133,7 +133,8 @@ class StatisticsTable(QTableWidget):
         self._stretch = loaded, channels, low_s, high_s
         self.setColumnCount(1 + len(channels))
         self.setRowCount(len(loaded))
-        titles = [f"{channel.title} ({unit})" if unit else channel.title for channel, unit in _units(channels)]
+        units = [(channel.title, shown_si(channel.unit)[0]) for channel in channels]
+        titles = [f"{title} ({unit})" if unit else title for title, unit in units]
         self.setHorizontalHeaderLabels([_("Mean ± SD"), *titles])
         _common, labels = distinguishing_labels([[test.chosen] for test in loaded])
         for row, test in enumerate(loaded):
@@ -167,10 +168,6 @@ class StatisticsTable(QTableWidget):
             swatch.fill(QColor(colour))
             if (item := self.item(row, 0)) is not None:
                 item.setData(Qt.ItemDataRole.DecorationRole, swatch)
-
-
-def _units(channels: Sequence[Channel]) -> list[tuple[Channel, str]]:
-    return [(channel, shown_si(channel.unit)[0]) for channel in channels]
 
 
 def _figure(test: LoadedTest, channel: Channel, low_s: float, high_s: float) -> QTableWidgetItem:
@@ -209,18 +206,10 @@ class ChannelButton(QPushButton):
         menu.clear()
         drawn = self.drawn
         for channel in channels:
-            action = menu.addAction(channel.title.replace("&", "&&"))
-            action.setCheckable(True)
-            action.setChecked(channel in drawn)
-            action.setData(channel)
-            action.setEnabled(channel in drawn or len(drawn) < MOST_PLOTS)
-            action.toggled.connect(self._toggle)
-        self.setEnabled(bool(channels))
-        self.setText(
-            _("Signals ({drawn} of {count})").format(drawn=len(drawn), count=len(channels))
-            if channels
-            else _("Signals")
-        )
+            title, enabled = channel.title.replace("&", "&&"), channel in drawn or len(drawn) < MOST_PLOTS
+            build.add_check(menu, title, channel in drawn, self._toggle, channel, enabled)
+        some = _("Signals ({drawn} of {count})").format(drawn=len(drawn), count=len(channels))
+        build.styled(self, enabled=bool(channels), text=some if channels else _("Signals"))
 
     @property
     def drawn(self) -> list[Channel]:
@@ -234,8 +223,7 @@ class ChannelButton(QPushButton):
         return [channel for channel in self._channels if channel.name in wanted][:MOST_PLOTS]
 
     def _toggle(self) -> None:
-        checked = [action.data().name for action in self.menu().actions() if action.isChecked()]
-        self.wanted = checked
+        self.wanted = [action.data().name for action in self.menu().actions() if action.isChecked()]
         self.offer(self._channels)
         self.changed.emit()
 
@@ -386,7 +374,8 @@ class SignalsPanel(QWidget):
         if not self.loaded:
             self.about.setText("")
             return
-        samples = max(last - first for test in self.loaded for first, last in [self._places(test, low, high)])
+        tracks = [next(iter(test.tracks.values())) for test in self.loaded]
+        samples = max(last - first for first, last in (track.places(low, high) for track in tracks))
         what = _("Brushed") if self.stack.brush else _("Whole")
         words = _("{what}: {seconds} s, {samples} samples").format(
             what=what, seconds=fixed(high - low, 3), samples=grouped(samples)
@@ -395,10 +384,6 @@ class SignalsPanel(QWidget):
         if left_out:
             words += _("; {shown} of {count} tests shown").format(shown=len(self.loaded), count=len(self._chosen))
         self.about.setText(words)
-
-    @staticmethod
-    def _places(test: LoadedTest, low: float, high: float) -> tuple[int, int]:
-        return next(iter(test.tracks.values())).places(low, high)
 
     # -- figure ---------------------------------------------------------------------------------------------
 

@@ -22,7 +22,6 @@ from PySide6.QtWidgets import (
     QPushButton,
     QSizePolicy,
     QTableWidget,
-    QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
@@ -34,6 +33,7 @@ from tissueid.app.build import (
     choice,
     column,
     fill,
+    fill_table,
     holder,
     label,
     row,
@@ -412,14 +412,11 @@ class _Rows(QWidget):
 
     def fill(self, rows: Sequence[Sequence[Any]]) -> None:
         """Show these rows; None is an empty cell."""
-        self.table.blockSignals(True)
-        self.table.setRowCount(len(rows))
-        for line, values in enumerate(rows):
-            for place in range(self.table.columnCount()):
-                value = values[place] if place < len(values) else None
-                text = f"{value:g}" if isinstance(value, int | float) else value or ""
-                self.table.setItem(line, place, QTableWidgetItem(text))
-        self.table.blockSignals(False)
+        cells = [[*values, *[None] * (self.table.columnCount() - len(values))] for values in rows]
+        fill_table(
+            self.table,
+            [[f"{cell:g}" if isinstance(cell, int | float) else cell or "" for cell in line] for line in cells],
+        )
         self.table.setCurrentCell(len(rows) - 1, 0)
         self.changed.emit()
 

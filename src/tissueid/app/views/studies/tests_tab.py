@@ -364,11 +364,8 @@ class TestsTab(QWidget):
         menu.clear()
         assert self._data is not None
         for name in self._data.parameters:
-            action = menu.addAction(_(label_and_unit(name)[0]))
-            action.setCheckable(True)
-            action.setChecked(name in self.model.parameters)
-            action.setData(name)
-            action.toggled.connect(self._choose_parameters)
+            shown = name in self.model.parameters
+            build.add_check(menu, _(label_and_unit(name)[0]), shown, self._choose_parameters, name)
         self.parameters.setEnabled(bool(self._data.parameters))
 
     def _choose_parameters(self) -> None:

@@ -11,7 +11,19 @@ from typing import Any
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QWidget
 
-from tissueid.app.build import button, choice, column, label, offer, restore_tab, row, single_tab_stop, tabs, timer
+from tissueid.app.build import (
+    button,
+    choice,
+    column,
+    label,
+    offer,
+    restore_tab,
+    row,
+    show_text,
+    single_tab_stop,
+    tabs,
+    timer,
+)
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
 from tissueid.app.plot_canvas import PlotCanvas
@@ -68,8 +80,7 @@ class FiguresTab(QWidget):
         _fill(self.kind, [heading for heading, _figures in self.figures.groups])
         shown, more = list(self.figures.remarks[:_MOST_REMARKS]), len(self.figures.remarks) - _MOST_REMARKS
         shown += [_("and {count} more: see the report").format(count=more)] * (more > 0)
-        self.remarks.setText("\n".join(shown))
-        self.remarks.setVisible(bool(shown))
+        show_text(self.remarks, "\n".join(shown))
         self._choose_kind()
         if found is None:
             self.canvas.say_missing(

@@ -98,9 +98,8 @@ class StaticsPanel(QWidget):
         )
         show_level(self.headline, "good" if newest.verdict == "passed" else "poor")
         lines = [sentence(clean(translated(line))) for line in (*problems_of(newest), *notes_of(newest))]
-        self.said.setText("\n".join(lines[:_MOST_LINES]))
+        build.show_text(self.said, "\n".join(lines[:_MOST_LINES]))
         self.said.setToolTip(plain_tip("\n".join(lines)))
-        self.said.setVisible(bool(lines))
         self.model.show_rows(list(newest.quantities.items()))
         self._residuals = residuals(newest)
         lines_kept = [(translated(item.label), item.label) for item in self._residuals]
@@ -507,8 +506,7 @@ class CalibrationsTab(Tab):
 
     def _show_selected(self) -> None:
         rows = self._rows
-        self.why.setText("\n".join(f"{row.cell(5)}: {row.force}" for row in rows[:_MOST_WHY]))
-        self.why.setVisible(bool(rows))
+        build.show_text(self.why, "\n".join(f"{row.cell(5)}: {row.force}" for row in rows[:_MOST_WHY]))
         chosen = self.selected
         sweeps = [item for item in chosen if item.kind == "sweep"]
         if sweeps and len(sweeps) >= len(chosen) - len(sweeps):

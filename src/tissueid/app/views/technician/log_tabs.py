@@ -402,8 +402,8 @@ class FaultsTab(SearchedTab):
         show_level(self.detail, event.level)
         self.title.setText(f"{_(event.kind)}, {event.time} UTC")
         self.reason.setText(event.reason or _("No reason was recorded."))
-        self.advice.setText(_("What to do: {advice}").format(advice=event.advice) if event.advice else "")
-        self.advice.setVisible(bool(event.advice))
+        advised = _("What to do: {advice}").format(advice=event.advice)
+        build.show_text(self.advice, advised if event.advice else "")
         self.where.setText(clean(str(event.path)) if event.path else event.subject)
         self.detail.setAccessibleName(" ".join([self.title.text(), event.reason, event.advice]))
 
