@@ -40,7 +40,6 @@ from tissueid.app.views.gap.next_test import prepared_words, session_url
 from tissueid.app.views.gap.page_content import as_title
 from tissueid.app.views.gap.request_panel import DiagnosisLoader, RequestPanel
 from tissueid.app.views.gap.result_page import DiagnosisPage
-from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, UnusableInputError
@@ -114,7 +113,7 @@ class GapView(View):
         self._running = self._over = False
         self._kept_in = default_folder()
         self.background = DiagnosisLoader(context.jobs, self._kept_in, self)
-        self._busy = self._testing = False
+        self._testing = False
         self._looking = timer(self, _LOOK_MS, self._look, repeat=True)
         # Not from within a job's end: the other pages must have settled first.
         self.refresh_timer = timer(self, 0, self._go_on)
@@ -147,7 +146,7 @@ class GapView(View):
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
-        self._busy, self._testing = busy, testing
+        self._testing = testing
         # While the page only reads, a diagnosis can be asked for all the same.
         working = self.context.jobs.working
         waits = working or testing or (busy and not self.background.running)
@@ -413,7 +412,7 @@ class GapView(View):
     def _connect(self) -> None:
         self.asking.wanted.connect(self.begin)
         self.asking.unwanted.connect(self.stop)
-        self.asking.changed.connect(self._resettle)
+        self.asking.changed.connect(self.apply_state)
         self.history.chosen.connect(self._show_chosen)
         self.history.removed.connect(self._forget)
         self.history.returned.connect(self._keep_again)
@@ -426,7 +425,3 @@ class GapView(View):
         self.result.export.clicked.connect(self._ask_for_json)
         self.result.next.wanted.connect(self._prepare)
         shortcut(self, "Ctrl+Return", self.begin)
-
-    def _resettle(self) -> None:
-        self.update_enabled(busy=self._busy, testing=self._testing)
-        show_disabled_reason(self.waiting(), self.context.jobs.why_no_work)
