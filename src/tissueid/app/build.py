@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from PySide6.QtCore import QObject, QSignalBlocker, Qt, QTimer, SignalInstance
-from PySide6.QtGui import QAction, QFont, QKeySequence, QShortcut
+from PySide6.QtGui import QAction, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QBoxLayout,
     QComboBox,
@@ -24,13 +24,11 @@ from PySide6.QtWidgets import (
     QStackedWidget,
     QTableView,
     QTableWidget,
-    QTableWidgetItem,
     QTabWidget,
     QVBoxLayout,
     QWidget,
 )
 
-from tissueid.app.widgets import plain_tip
 from tissueid.language import _
 
 Item = QWidget | QLayout | None
@@ -338,25 +336,6 @@ def tiles(columns: int, *parts: QWidget, stretch_rows: bool = False, **propertie
         made.setColumnStretch(place % columns, 1)
         made.setRowStretch(place // columns, int(stretch_rows))
     return made
-
-
-def fill_table(
-    made: QTableWidget, rows: Sequence[Sequence[str]], bold: Collection[int] = (), right: Collection[int] = ()
-) -> None:
-    """Show rows of texts, each with itself as tool tip. ``bold`` are numbers of rows, ``right`` columns of numbers."""
-    font = QFont(made.font())
-    font.setBold(True)
-    with QSignalBlocker(made):
-        made.setRowCount(len(rows))
-        for place, texts in enumerate(rows):
-            for column, text in enumerate(texts):
-                item = QTableWidgetItem(text)
-                item.setToolTip(plain_tip(text))
-                if place in bold:
-                    item.setFont(font)
-                if column in right:
-                    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                made.setItem(place, column, item)
 
 
 def show_text(made: QLabel, text: str) -> None:

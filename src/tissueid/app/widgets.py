@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 
-from PySide6.QtCore import QEvent, QSize, Qt
-from PySide6.QtGui import QHelpEvent, QKeyEvent, QPainter, QPaintEvent
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QToolTip, QWidget
+from PySide6.QtCore import QEvent, QSignalBlocker, QSize, Qt
+from PySide6.QtGui import QFont, QHelpEvent, QKeyEvent, QPainter, QPaintEvent
+from PySide6.QtWidgets import (
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QToolTip,
+    QWidget,
+)
 
 from tissueid.app.build import restyle
 from tissueid.formatting import clean
@@ -105,3 +113,22 @@ def show_level(widget: QWidget, level: str) -> None:
     """Set the colour level of a widget: good, check, poor or none."""
     if widget.property("level") != level:
         restyle(widget, level=level)
+
+
+def fill_table(
+    made: QTableWidget, rows: Sequence[Sequence[str]], bold: Collection[int] = (), right: Collection[int] = ()
+) -> None:
+    """Show rows of texts, each with itself as tool tip. ``bold`` are numbers of rows, ``right`` columns of numbers."""
+    font = QFont(made.font())
+    font.setBold(True)
+    with QSignalBlocker(made):
+        made.setRowCount(len(rows))
+        for place, texts in enumerate(rows):
+            for column, text in enumerate(texts):
+                item = QTableWidgetItem(text)
+                item.setToolTip(plain_tip(text))
+                if place in bold:
+                    item.setFont(font)
+                if column in right:
+                    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                made.setItem(place, column, item)

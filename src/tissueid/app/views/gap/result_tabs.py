@@ -27,6 +27,7 @@ from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance, faint
 from tissueid.app.views.gap.page_content import STAGE_TITLES, as_sentence, as_title
+from tissueid.app.widgets import fill_table
 from tissueid.formatting import plus_minus, share_text, with_unit
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
@@ -60,7 +61,7 @@ class BarTable(QTableWidget):
     def fill(self, rows: Sequence[tuple[Sequence[str], float, bool]]) -> None:
         """Show rows of texts, share of the bar (0 to 1), and whether the row is bold."""
         bold = [place for place, (_words, _share, is_bold) in enumerate(rows) if is_bold]
-        build.fill_table(self, [words for words, _share, _bold in rows], bold)
+        fill_table(self, [words for words, _share, _bold in rows], bold)
         for place, (_words, share, _bold) in enumerate(rows):
             if (item := self.item(place, self._bars)) is not None:
                 item.setData(_SHARE, share)

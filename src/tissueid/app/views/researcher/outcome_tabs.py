@@ -14,11 +14,12 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app import build
-from tissueid.app.build import button, choice, fill_table, label, offer, row, splitter, styled, table
+from tissueid.app.build import button, choice, label, offer, row, splitter, styled, table
 from tissueid.app.views.researcher.batch import COLUMNS, ComparisonSummary
 from tissueid.app.views.researcher.engine_outcome import AnalysisTask, changed_options
 from tissueid.app.views.researcher.results_store import MOST_ENTRIES, HistoryEntry
 from tissueid.app.views.researcher.results_table import in_two_lines
+from tissueid.app.widgets import fill_table
 from tissueid.formatting import clean, plain_text
 from tissueid.identification import engine_label, engine_names
 from tissueid.language import _, marked
@@ -146,7 +147,7 @@ class HistoryList(QWidget):
         self.remark.setText(
             _("{count} lines of the history could not be read and are passed over.").format(count=bad) if bad else ""
         )
-        build.fill_table(self.table, [[text[:_LONGEST] for text in _texts(entry)] for entry in self._entries])
+        fill_table(self.table, [[text[:_LONGEST] for text in _texts(entry)] for entry in self._entries])
         for column in range(len(_COLUMNS) - 1):
             self.table.resizeColumnToContents(column)
             self.table.setColumnWidth(column, min(240, self.table.columnWidth(column) + 6))

@@ -33,7 +33,6 @@ from tissueid.app.build import (
     choice,
     column,
     fill,
-    fill_table,
     holder,
     label,
     row,
@@ -44,7 +43,7 @@ from tissueid.app.number_field import WholeNumberField
 from tissueid.app.option_field import OptionField
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.views.studies.study_data import StudyData
-from tissueid.app.widgets import ElidedLabel, plain_tip, show_level
+from tissueid.app.widgets import ElidedLabel, fill_table, plain_tip, show_level
 from tissueid.app.window_state import load_texts, save_texts
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
