@@ -13,6 +13,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.analysis import analyse
 from tissueid.app.context import AppContext, AppServices, AppState
 from tissueid.app.jobs import Jobs
 from tissueid.app.views.researcher import batch
@@ -20,6 +21,23 @@ from tissueid.app.views.researcher.analysis import AnalysisPanel
 from tissueid.app.views.researcher.results_store import AnalysisHistory
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.sessions import read_session, write_session
+
+_ANALYSED = {}
+
+
+def analyse_once(session, engine, options, **selection):
+    """As ``analyse``: what several tests fit alike is fitted once. Refusals are worked out every time."""
+    signals = [[values.tobytes() for values in test.signals.values()] for test in session.tests]
+    about = [dataclasses.replace(test, signals={}) for test in session.tests]
+    key = repr((engine, options, selection, session.instrument, about)), *map(tuple, signals)
+    if key not in _ANALYSED:
+        _ANALYSED[key] = analyse(session, engine, options, **selection)
+    return _ANALYSED[key]
+
+
+@pytest.fixture(autouse=True)
+def _analysed_once(monkeypatch):
+    monkeypatch.setattr(batch, "analyse", analyse_once)
 
 
 class Strip:

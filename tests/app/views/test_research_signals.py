@@ -107,23 +107,21 @@ def test_data_are_exported_and_nothing_raw_is_changed(qtbot, opened, year, tmp_p
     assert {path: path.read_bytes() for path in year.rglob("*.h5")} == before
 
 
-@pytest.mark.parametrize("ending", ["png", "svg"])
-def test_the_figure_is_saved(qtbot, opened, tmp_path, ending):
+def test_the_figure_is_saved(qtbot, opened, tmp_path):
     window, view = opened()
     show(qtbot, window, view, (0,), tests=1)
-    path = tmp_path / f"figure.{ending}"
-    qtbot.mouseClick(view.signals.save, Qt.MouseButton.LeftButton)
-    (dialog,) = window.findChildren(QFileDialog)
-    dialog.fileSelected.emit(str(path))
-    dialog.reject()
-    qtbot.waitUntil(lambda: path.exists() and not window.jobs, timeout=WAIT_MS)
-    if ending == "png":
-        assert QImage(str(path)).width() > 1000
-    else:
-        text = path.read_text(encoding="utf-8")
-        assert "Position (mm)" in text
-        assert "right calf" in text
-    assert str(path) in window.said[-1]
+    png, svg = tmp_path / "figure.png", tmp_path / "figure.svg"
+    for path in (png, svg):
+        qtbot.mouseClick(view.signals.save, Qt.MouseButton.LeftButton)
+        dialog = window.findChildren(QFileDialog)[-1]
+        dialog.fileSelected.emit(str(path))
+        dialog.reject()
+        qtbot.waitUntil(lambda path=path: path.exists() and not window.jobs, timeout=WAIT_MS)
+        assert str(path) in window.said[-1]
+    assert QImage(str(png)).width() > 1000
+    text = svg.read_text(encoding="utf-8")
+    assert "Position (mm)" in text
+    assert "right calf" in text
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=["light", "dark"])

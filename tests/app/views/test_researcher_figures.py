@@ -98,16 +98,15 @@ def test_the_population_is_drawn(qtbot, panel, two, tmp_path):
     assert (tmp_path / "population.pdf").read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.parametrize("ending", sorted(FIGURES))
-def test_a_figure_is_vector_or_has_three_hundred_dots_an_inch_on_white(qtbot, panel, two, tmp_path, ending):
+def test_a_figure_is_vector_or_has_three_hundred_dots_an_inch_on_white(qtbot, panel, two, tmp_path):
     run(qtbot, panel, two[:1])
-    path = write_figure(tmp_path / f"f{ending}", panel.pictures.figure.draw)
-    if ending == ".png":
-        image = QImage(str(path))
-        assert image.width() == 7.2 * 300
-        assert image.pixelColor(2, 2).name() == "#ffffff"
-    else:
-        assert b"<svg" in path.read_bytes() if ending == ".svg" else path.read_bytes().startswith(b"%PDF")
+    written = [write_figure(tmp_path / f"f{ending}", panel.pictures.figure.draw) for ending in FIGURES]
+    pdf, svg, png = sorted(written, key=lambda path: (".pdf", ".svg", ".png").index(path.suffix))
+    image = QImage(str(png))
+    assert image.width() == 7.2 * 300
+    assert image.pixelColor(2, 2).name() == "#ffffff"
+    assert b"<svg" in svg.read_bytes()
+    assert pdf.read_bytes().startswith(b"%PDF")
     with pytest.raises(UnusableInputError):
         write_figure(tmp_path / "f.docx", panel.pictures.figure.draw)
 
@@ -128,31 +127,24 @@ def test_a_name_is_suggested_that_is_free(qtbot, panel, two, tmp_path):
     dialog.reject()
 
 
-@pytest.mark.parametrize("replace", [False, True])
-def test_what_is_there_is_replaced_only_when_that_is_said(qtbot, panel, two, tmp_path, replace):
+def test_what_is_there_is_replaced_only_when_that_is_said(qtbot, panel, two, tmp_path):
     run(qtbot, panel, two[:1])
-    path = tmp_path / "kept.svg"
-    path.write_text("mine")
-    press(qtbot, panel.save_figure)
-    answer(qtbot, panel, path)
-    (question,) = panel.findChildren(QMessageBox)
-    assert path.read_text() == "mine"
-    button = next(b for b in question.buttons() if (b.text() == "Replace") == replace)
-    press(qtbot, button)
-    wait(qtbot, panel)
-    assert ("<svg" in path.read_text(encoding="utf-8")) == replace
-    qtbot.waitUntil(lambda: not panel.findChildren(QMessageBox), timeout=WAIT_MS)
-
-
-def test_a_table_is_not_replaced_either(qtbot, panel, two, tmp_path):
-    run(qtbot, panel, two[:1])
-    path = tmp_path / "table.csv"
-    path.write_text("mine")
-    press(qtbot, panel.save_table)
-    answer(qtbot, panel, path)
-    (question,) = panel.findChildren(QMessageBox)
-    question.reject()
-    assert path.read_text() == "mine"
+    figure, table = tmp_path / "kept.svg", tmp_path / "kept.csv"
+    for path, button, replace in (
+        (figure, panel.save_figure, False),
+        (figure, panel.save_figure, True),
+        (table, panel.save_table, False),
+    ):
+        path.write_text("mine")
+        press(qtbot, button)
+        answer(qtbot, panel, path)
+        (question,) = panel.findChildren(QMessageBox)
+        assert path.read_text() == "mine"
+        press(qtbot, next(b for b in question.buttons() if (b.text() == "Replace") == replace))
+        wait(qtbot, panel)
+        assert (path.read_text(encoding="utf-8") == "mine") != replace
+        qtbot.waitUntil(lambda: not panel.findChildren(QMessageBox), timeout=WAIT_MS)
+    assert "<svg" in figure.read_text(encoding="utf-8")
 
 
 def test_saving_does_not_hand_the_focus_to_the_button_that_clears(qtbot, panel, two):
