@@ -1,13 +1,15 @@
 """The page of studies: table, filters, analysis that can be cancelled and continues, figures, report, and sittings."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press
 from coded import shows
-from procedures.test_study import SUBJECTS, fill
+from procedures.test_study import SUBJECTS
+from procedures.test_study import folder as sessions  # noqa: F401 - a fixture
 from PySide6.QtCore import Qt
 
 from tissueid.analysis.curves.plot import as_csv
@@ -45,11 +47,10 @@ def folder(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recorded(tmp_path_factory, request):
     """A study of a few sessions, not analysed; tests that change it copy it."""
     path = tmp_path_factory.mktemp("recorded") / "study"
-    fill(path)
-    return path
+    return Path(shutil.copytree(request.getfixturevalue("sessions"), path))
 
 
 @pytest.fixture
@@ -219,8 +220,9 @@ def test_a_folder_of_unreadable_sessions_says_why_of_each(qtbot, window, tmp_pat
     assert [row.problem == NOT_ANALYSED for row in load_study(tmp_path).rows] == [True, False]
 
 
-def test_a_cancelled_analysis_continues(qtbot, window, tmp_path, monkeypatch):
-    fill(tmp_path / "s", subjects=1)
+def test_a_cancelled_analysis_continues(qtbot, window, tmp_path, monkeypatch, recorded):
+    others = shutil.ignore_patterns("P[1-9]*", "damaged.h5", RESULTS)
+    shutil.copytree(recorded, tmp_path / "s", ignore=others)
     page = opened(qtbot, window, tmp_path / "s")
     choose_lms(page)
     analyse = studies_view.analyse_study
