@@ -145,25 +145,17 @@ class DeviceSearch(QObject):
             work = functools.partial(recover_all, self._context.services.folder, self._context.trail)
             self._context.jobs.do(work, self._recovered, self._context.say_failed)
 
-    def _recovered(self, recovery: Recovery) -> None:
-        saved = [_("Recovered {path}.").format(path=one.path) for one in recovery.sessions]
-        words = " ".join(saved + recovery.problems) or _("There is nothing left to recover.")
-        self._notice.say(words, problem=bool(recovery.problems), page=MEASURE)
-        if recovery.sessions:
-            self.recovered.emit([(one.path, one.session) for one in recovery.sessions])
+    def _recovered(self, recovery: tuple[list[RecoveredSession], list[str]]) -> None:
+        sessions, problems = recovery
+        saved = [_("Recovered {path}.").format(path=one.path) for one in sessions]
+        words = " ".join(saved + problems) or _("There is nothing left to recover.")
+        self._notice.say(words, problem=bool(problems), page=MEASURE)
+        if sessions:
+            self.recovered.emit([(one.path, one.session) for one in sessions])
 
 
-@dataclass(frozen=True)
-class Recovery:
-    """The recovered sessions, and problems as sentences."""
-
-    sessions: list[RecoveredSession]
-    problems: list[str]
-
-
-def recover_all(folder: Path, trail: AuditTrail) -> Recovery:
-    """Recover what is unfinished now, which may differ from what was offered."""
+def recover_all(folder: Path, trail: AuditTrail) -> tuple[list[RecoveredSession], list[str]]:
+    """Recover what is unfinished now, which may differ from what was offered; also return problems as sentences."""
     control = JobControl()
     sessions, errors = recover_folder(folder, control, trail)
-    problems = [sentence(translated(notice)) for notice in control.notices]
-    return Recovery(sessions, [*problems, *map(in_words, errors)])
+    return sessions, [*(sentence(translated(notice)) for notice in control.notices), *map(in_words, errors)]

@@ -254,8 +254,7 @@ class StartView(View):
         """Disable everything during a test, and what starts a job during another job."""
         self.setEnabled(not testing)
         others = busy and not self._reading
-        parts: list[QWidget] = [self.recent, self.seek, self.recover, *self.cards.values()]
-        for part in parts:
+        for part in (self.recent, self.seek, self.recover, *self.cards.values()):
             part.setEnabled(not others)
         self.stop_reading.setVisible(self._reading)
         self._enable_choices()
@@ -278,20 +277,17 @@ class StartView(View):
 
     def show_instruments(self, known: Mapping[str, tuple[str, CalibrationState]], chosen: str) -> None:
         """Show what was found, its state, a message, and calibration; ``chosen`` is what the next test is with."""
-        lines = []
-        for url, (health, state) in known.items():
-            level = _LEVELS.get(code_of(health), "")
-            calibration = _calibration(state)
-            mark = "✓ " if url == chosen else ""
-            lines.append(
-                (
-                    (f"{mark}{short_address(clean(url))}", ""),
-                    (brief(clean(translated(health))), level),
-                    (clean(calibration), state.level),
-                )
-            )
         self._urls = list(known)
-        self.instruments.fill(lines)
+        self.instruments.fill(
+            [
+                (
+                    (f"{'✓ ' if url == chosen else ''}{short_address(clean(url))}", ""),
+                    (brief(clean(translated(health))), _LEVELS.get(code_of(health), "")),
+                    (clean(_calibration(state)), state.level),
+                )
+                for url, (health, state) in known.items()
+            ]
+        )
         for place, (url, (health, state)) in enumerate(known.items()):
             lines_of_tip = clean(url), translated(health), _(state.words), *state.warnings
             self.instruments.explain(place, "\n".join(lines_of_tip))
