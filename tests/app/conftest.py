@@ -78,7 +78,7 @@ def _plots_without_pixels(plots_rendered, plots_laid_out, monkeypatch):
         monkeypatch.setattr("tissueid.reports.plot_axes.lay_out", lambda _figure: None)
 
 
-def opened(folder, bench, clock, calibrations, rendered=False, **changes):
+def opened(folder, bench, clock, calibrations, rendered=False, /, **changes):
     """Open a window with services for tests: instruments of a bench, a clock that stands still, files in a folder."""
     services = {"opener": bench.open, "finder": found, "folder": folder, "wait": lambda _: None}
     services |= {"separate_process": False, "stop": lambda: EmergencyStop(clock.read), "show_file": lambda _: True}
