@@ -157,8 +157,8 @@ def cable(monkeypatch: pytest.MonkeyPatch) -> list[float]:
             pass
 
     @contextmanager
-    def process(_preset: str, _seed: int, *, speed: float, coil: str) -> Iterator[str]:
-        assert coil == "ideal"
+    def process(_preset: str, _seed: int, *, speed: float, coil: str, rate_hz: float) -> Iterator[str]:
+        assert (coil, rate_hz) == ("ideal", 2000.0)
         speeds.append(speed)
         yield "nowhere"
 

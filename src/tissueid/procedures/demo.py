@@ -111,7 +111,9 @@ def run_demo(plan: DemoPlan, control: Control, trail: AuditTrail) -> DemoResult:
 
 
 @contextmanager
-def firmware_process(preset: str, seed: int, *, speed: float = _SPEED, coil: str = "ideal") -> Iterator[str]:
+def firmware_process(
+    preset: str, seed: int, *, speed: float = _SPEED, coil: str = "ideal", rate_hz: float = 2000.0
+) -> Iterator[str]:
     """Run the simulated firmware in its own process; yield the URL of its serial port.
 
     Args:
@@ -119,12 +121,14 @@ def firmware_process(preset: str, seed: int, *, speed: float = _SPEED, coil: str
         seed: of the sensor noise.
         speed: seconds of the instrument per second.
         coil: force constant along the stroke: ideal or finite.
+        rate_hz: samples per second.
 
     Raises:
         UnusableInputError: the preset is unknown.
         InstrumentError: the process did not start.
     """
-    command = ("-m", "firmware_sim", "--preset", preset, "--seed", str(seed), "--speed", str(speed), "--coil", coil)
+    options = {"preset": preset, "seed": seed, "speed": speed, "coil": coil, "rate": rate_hz}
+    command = ["-m", "firmware_sim", *(part for name, value in options.items() for part in (f"--{name}", str(value)))]
     with tempfile.TemporaryFile("w+") as complaints:
         process = start(*command, stdout=subprocess.PIPE, stderr=complaints, text=True)
         assert process.stdout is not None

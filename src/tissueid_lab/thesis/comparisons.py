@@ -246,18 +246,21 @@ def partition_rows(found: Overlay) -> list[Row]:
 def frequency_rows(found: Overlay) -> list[Row]:
     """Return the parameters with a low cutoff relative to those with a high one (Fig. 5.10)."""
     series = series_profiles(found, from_surface=True)
-    low, high = series["50 Hz", "depth"], series["200 Hz", "depth"]
-    shared = np.linspace(max(low.position[0], high.position[0]), min(low.position[-1], high.position[-1]), 20)
+    profiles = [series[source, "depth"] for source in ("50 Hz", "200 Hz")]
+    fitted = [np.isfinite(profile.stiffness) for profile in profiles]  # not all kernels are those of such a system
+    places = [profile.position[good] for profile, good in zip(profiles, fitted, strict=True)]
+    shared = np.linspace(max(place[0] for place in places), min(place[-1] for place in places), 20)
     rows = []
     for what, name, said in (
         ("K", "stiffness", marked("K rises as the cutoff falls")),
         ("B", "damping", marked("the same")),
         ("M", "mass", marked("the same")),
     ):
-        ratio = np.interp(shared, low.position, getattr(low, name)) / np.interp(
-            shared, high.position, getattr(high, name)
+        low, high = (
+            np.interp(shared, place, getattr(profile, name)[good])
+            for place, profile, good in zip(places, profiles, fitted, strict=True)
         )
-        rows.append(Row(f"{what}, 50 Hz over 200 Hz", said, f"{fixed(float(np.median(ratio)), 2)} (median)"))
+        rows.append(Row(f"{what}, 50 Hz over 200 Hz", said, f"{fixed(float(np.median(low / high)), 2)} (median)"))
     return rows
 
 

@@ -56,9 +56,10 @@ def _white(name: str, preset: str, force_n: tuple[float, float] = (-3.5, 10.5)) 
 
 
 def _low_passed(cutoff_hz: float) -> Recording:
-    """Return a test that stays on skin that relaxes, with noise up to a cutoff (thesis 5.3.3)."""
-    name, options = f"{RELAXING}-{cutoff_hz:.0f}hz", (("cutoff_hz", cutoff_hz),)
-    return Recording(name, RELAXING, (0.5, 10.5), seed=1, distribution="gaussian", options=options)
+    """Return a test that stays on skin that relaxes, with noise up to a tenth of the sample rate (thesis 5.3.3)."""
+    rate_hz, options = 10.0 * cutoff_hz, (("cutoff_hz", cutoff_hz),)
+    name = f"{RELAXING}-{cutoff_hz:.0f}hz-at-{rate_hz:.0f}hz"
+    return Recording(name, RELAXING, (0.5, 10.5), seed=1, distribution="gaussian", options=options, rate_hz=rate_hz)
 
 
 def _localized(preset: str) -> tuple[Recording, ...]:

@@ -47,8 +47,8 @@ class Recording:
 
     ``options`` are further options of the stimulus. ``name`` is that of its file. With ``stimulus`` "rtig" the depth is
     distributed by feedback; "sweep" is a dynamic sweep, whose ``options`` are those of the sweep. ``coil`` is that
-    of the instrument: ideal, or finite. ``coupling`` is what attaches the probe, which can then pull. A ``quick``
-    recording is shorter, and played on an instrument that is not restarted for each test.
+    of the instrument: ideal, or finite; ``rate_hz`` is its sample rate. ``coupling`` is what attaches the probe, which
+    can then pull. A ``quick`` recording is shorter, and played on an instrument that is not restarted for each test.
     """
 
     name: str
@@ -60,6 +60,7 @@ class Recording:
     options: tuple[tuple[str, Any], ...] = ()
     stimulus: Literal["noise", "rtig", "sweep"] = "noise"
     coil: str = "ideal"
+    rate_hz: float = 2000.0
     coupling: CouplingName = "none"
     quick: bool = False
 

@@ -160,10 +160,13 @@ def _record(recordings: Iterable[Recording], folder: Path, control: Control) -> 
         control.check()
         first = waiting[0]
         speed = (_QUICK_SPEED if first.quick else _SPEED) / (1 + tried.get(first.name, 0))
-        with firmware_process(first.preset, _SEED, speed=speed, coil=first.coil) as url:  # with a cool coil
+        device = (first.preset, first.coil, first.rate_hz)
+        with firmware_process(  # with a cool coil
+            first.preset, _SEED, speed=speed, coil=first.coil, rate_hz=first.rate_hz
+        ) as url:
             instrument = open_instrument(url)
             try:
-                while waiting and (waiting[0].preset, waiting[0].coil) == (first.preset, first.coil):
+                while waiting and (waiting[0].preset, waiting[0].coil, waiting[0].rate_hz) == device:
                     one = waiting[0]
                     control.check()
                     share = 1.0 - len(waiting) / len(missing)
