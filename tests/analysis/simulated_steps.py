@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from tissueid.records import Record
-from tissueid.stimuli.kinds.step_hold import StepHold
+from tissueid.stimuli.kinds.quasi_static import StepHold
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from tissueid.records import Record, joined
 from tissueid.reports.verdict import key_numbers, linear_engine
 from tissueid.sessions import Test
 from tissueid.stimuli.kinds.noise import SteppedNoise
-from tissueid.stimuli.kinds.step_hold import StepHold
+from tissueid.stimuli.kinds.quasi_static import StepHold
 
 PRESET = "left-posterior-forearm"
 LEVELS = 4

@@ -89,7 +89,7 @@ def test_cycles_are_compared_where_there_are_several() -> None:
 
 
 def test_the_release_in_two_steps_gives_no_recovery_and_says_so() -> None:
-    from tissueid.stimuli.kinds.step_hold import StepHold
+    from tissueid.stimuli.kinds.quasi_static import StepHold
 
     force = StepHold(seconds=4.0, force_min_n=1.0, force_max_n=4.0).build().values
     found = by_name(step_readings(recorded_points(steps.creep(force, 2000.0), find_steps(force, 2000.0))))

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import get_stimulus, rebuild, with_preload
-from tissueid.stimuli.kinds.quiet import Quiet
-from tissueid.stimuli.kinds.slow_ramp import SlowRamp
-from tissueid.stimuli.kinds.step_hold import StepHold
+from tissueid.stimuli.kinds.quasi_static import Quiet, SlowRamp, StepHold
 from tissueid.stimuli.stimulus_check import assess_stimulus
 
 KINDS = (Quiet, SlowRamp, StepHold)

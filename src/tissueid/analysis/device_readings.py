@@ -50,7 +50,7 @@ from tissueid.identification.validation.bootstrap import Method, bootstrap
 from tissueid.messages import Message, stored
 from tissueid.records import Record
 from tissueid.sessions import Session, Test
-from tissueid.stimuli.kinds.step_hold import StepHold
+from tissueid.stimuli.kinds.quasi_static import StepHold
 
 DRAWS = 40
 """Number of refits or draws; the standard deviation is then known within about a tenth."""

@@ -25,10 +25,8 @@ from tissueid.gap.parameters import SPRING_COORDINATES, Parametrisation
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.plan_options import shell_options
-from tissueid.stimuli.kinds import slow_ramp, step_hold
-from tissueid.stimuli.kinds.quiet import Quiet
-from tissueid.stimuli.kinds.slow_ramp import SlowRamp, ramp
-from tissueid.stimuli.kinds.step_hold import StepHold, steps
+from tissueid.stimuli.kinds import quasi_static
+from tissueid.stimuli.kinds.quasi_static import Quiet, SlowRamp, StepHold, ramp, steps
 from tissueid.test_settings import TestSettings
 from tissueid.twin.catalogue import effect
 
@@ -299,9 +297,9 @@ def candidate_tests(dataset: Dataset) -> tuple[CandidateTest, ...]:
         device.amplifier_limit_v / device.amplifier_gain, 1.2 * float(np.max(np.abs(model.command)))
     )
     level = min(mean + 2.0 * spread, most)
-    pressed = level * ramp(round(slow_ramp.SECONDS * rate))
-    hold = round(step_hold.SECONDS / len(step_hold.LEVELS) * rate)
-    stepped = level * (STEPS_FROM + (1.0 - STEPS_FROM) * steps(hold, step_hold.RISE_S * rate))
+    pressed = level * ramp(round(quasi_static.RAMP_SECONDS * rate))
+    hold = round(quasi_static.STEPS_SECONDS / len(quasi_static.LEVELS) * rate)
+    stepped = level * (STEPS_FROM + (1.0 - STEPS_FROM) * steps(hold, quasi_static.RISE_S * rate))
     spring = next((test for test in dataset.tests if test.fixture == "spring"), None)
     items = [
         _item("quiet", model, np.zeros(round(QUIET_S * rate))),

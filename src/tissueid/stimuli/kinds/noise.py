@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.stimuli.base import Array, OpenLoopKind, Stimulus, check_range_order, crest_factor, stimulus
-from tissueid.stimuli.kinds.slow_ramp import ramp
+from tissueid.stimuli.kinds.quasi_static import ramp
 from tissueid.stimuli.shape_options import DistributionName, Shaped
 from tissueid.stimuli.spectra import settling_samples
 from tissueid.stimuli.surrogate import first_mean_crossing, spectral_surrogate

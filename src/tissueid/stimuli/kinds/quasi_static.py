@@ -1,4 +1,4 @@
-"""Steps with holds: creep and relaxation after a change of force."""
+"""Slow histories of force: none, a ramp, and steps with holds."""
 
 from __future__ import annotations
 
@@ -9,9 +9,87 @@ from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulus
+from tissueid.stimuli.base import Array, OpenLoopKind, Ranged, Stimulus, crest_factor, stimulus
 
-SECONDS, RISE_S = 4.0, 0.01
+
+@stimulus
+class Quiet(OpenLoopKind):
+    """Zero force: records disturbances and sensor noise.
+
+    The probe rests on the tissue with its own weight, or hangs free if the device does not point down. The record shows
+    pulse, respiration, hand tremor, mains hum and sensor noise.
+    """
+
+    name: ClassVar[str] = "quiet"
+    title: ClassVar[str] = marked("Quiet: no force")
+    test_kind: ClassVar[str] = "quiet"
+
+    seconds: float = Field(1.5, gt=0.0, le=600.0, description=marked("Length, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
+
+    def build(self) -> Stimulus:
+        """Build the history, shape (seconds * sample_rate,), N: zeros. The crest factor is NaN."""
+        samples = max(1, round(self.seconds * self.sample_rate))
+        return Stimulus(
+            values=np.zeros(samples),
+            sample_rate_hz=self.sample_rate,
+            description=self.describe(),
+            seed=0,
+            crest_factor=float("nan"),
+            start_value=0.0,
+        )
+
+
+RAMP_SECONDS = 4.5
+"""Default length, s."""
+_MIN_RAMP_SAMPLES = 4
+
+
+@stimulus
+class SlowRamp(Ranged):
+    """Slow ramp from the lowest to the highest force and back: static force-depth curve and its hysteresis loop.
+
+    Inertia and viscous forces are negligible: loading and unloading show stiffness, and their difference friction or
+    hysteresis. It begins and ends at the lowest force, and its preload is held there.
+    """
+
+    name: ClassVar[str] = "slow_ramp"
+    title: ClassVar[str] = marked("Slow ramp")
+    test_kind: ClassVar[str] = "slow_ramp"
+
+    seconds: float = Field(RAMP_SECONDS, gt=0.0, le=600.0, description=marked("Total length of rise and fall, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
+
+    @model_validator(mode="after")
+    def _check_length(self) -> SlowRamp:
+        if round(self.seconds * self.sample_rate) < _MIN_RAMP_SAMPLES:
+            raise UnusableInputError(
+                "slow_ramp.short", "a ramp needs at least {least} samples: lengthen it", least=_MIN_RAMP_SAMPLES
+            )
+        return self
+
+    def build(self) -> Stimulus:
+        """Build the history, shape (seconds * sample_rate,), N or V."""
+        low, high, unit = self.span
+        values = low + (high - low) * ramp(round(self.seconds * self.sample_rate))
+        return Stimulus(
+            values=values,
+            sample_rate_hz=self.sample_rate,
+            description=self.describe(),
+            seed=0,
+            crest_factor=crest_factor(values),
+            unit=unit,
+            start_value=low,
+        )
+
+
+def ramp(samples: int) -> Array:
+    """Return a linear rise from 0 to 1 and back, shape (samples,)."""
+    up = np.linspace(0.0, 1.0, samples - samples // 2)
+    return np.concatenate([up, up[::-1][samples % 2 :]])
+
+
+STEPS_SECONDS, RISE_S = 4.0, 0.01
 LEVELS = (0.0, 1.0, 0.5, 0.0)
 """Levels of the holds, relative to the range, in order; all holds have the same length."""
 
@@ -29,7 +107,7 @@ class StepHold(Ranged):
     title: ClassVar[str] = marked("Steps with holds")
     test_kind: ClassVar[str] = "step_hold"
 
-    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Total length of all holds, s"))
+    seconds: float = Field(STEPS_SECONDS, gt=0.0, le=600.0, description=marked("Total length of all holds, s"))
     rise_s: float = Field(RISE_S, ge=0.002, le=10.0, description=marked("Rise time of each step, s"))
     sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
     cycles: int = Field(
