@@ -10,8 +10,7 @@ from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.app.jobs import JobControl
 from tissueid.app.views.researcher.batch import run
-from tissueid.app.views.researcher.engine_outcome import AnalysisTask
-from tissueid.app.views.researcher.results_store import AnalysisHistory
+from tissueid.app.views.researcher.engine_outcome import AnalysisHistory, AnalysisTask
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.cli import main
 from tissueid.errors import CancelledError

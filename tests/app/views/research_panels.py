@@ -18,7 +18,7 @@ from tissueid.app.context import AppContext, AppServices, AppState
 from tissueid.app.jobs import Jobs
 from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.analysis import AnalysisPanel
-from tissueid.app.views.researcher.results_store import AnalysisHistory
+from tissueid.app.views.researcher.engine_outcome import AnalysisHistory
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.sessions import read_session, write_session
 

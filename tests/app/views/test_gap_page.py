@@ -16,8 +16,7 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, Q
 
 from tissueid.app.views.gap import diagnosis_result
 from tissueid.app.views.gap.diagnosis_result import page_content_of, why_not_accepted
-from tissueid.app.views.gap.next_test import session_url
-from tissueid.app.views.gap.page_content import STAGE_TITLES, VERDICT_TITLES, Proposal
+from tissueid.app.views.gap.page_content import STAGE_TITLES, VERDICT_TITLES, Proposal, session_url
 from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.views.gap.view import EffectDialog
 from tissueid.app.words import sentence

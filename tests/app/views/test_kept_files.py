@@ -10,7 +10,7 @@ import pytest
 from coded import says
 
 from tissueid.app.views.gap.diagnosis_result import keep, read_kept
-from tissueid.app.views.researcher.results_store import read_results, write_results
+from tissueid.app.views.researcher.engine_outcome import read_results, write_results
 from tissueid.gap.diagnosis_plots import overlay_plots, profile_plot, spectrum_plot
 
 KEPT = Path(__file__).parents[2] / "golden" / "kept"

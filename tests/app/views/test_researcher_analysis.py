@@ -21,8 +21,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.views.researcher.analysis import STATE
-from tissueid.app.views.researcher.engine_outcome import Preparation
-from tissueid.app.views.researcher.results_store import read_results, write_results
+from tissueid.app.views.researcher.engine_outcome import Preparation, read_results, write_results
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_names, get_engine
 

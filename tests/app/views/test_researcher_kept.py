@@ -13,8 +13,7 @@ from app.views.research_panels import chosen_of, press, run, wait
 from coded import codes, shows
 from PySide6.QtCore import Qt
 
-from tissueid.app.views.researcher.engine_outcome import EngineOutcome
-from tissueid.app.views.researcher.results_store import read_results, write_results
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome, read_results, write_results
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.identification import FitReport
 from tissueid.identification.base import PREDICTS_NOTHING

@@ -10,6 +10,7 @@ from app.views.research_panels import run
 
 from tissueid.app.theme import DARK, appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.outcome_tabs import PopulationView
 from tissueid.app.views.researcher.population import (
     DATE,
     DISTRIBUTION,
@@ -19,7 +20,6 @@ from tissueid.app.views.researcher.population import (
     parameters_of,
     population,
 )
-from tissueid.app.views.researcher.population_view import PopulationView
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.identification import FitReport
 from tissueid.records import Estimate

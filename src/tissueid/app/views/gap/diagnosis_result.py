@@ -353,7 +353,7 @@ def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> Diagno
 
 def page_content_of(found: Diagnosis, session: Session) -> PageContent:
     """Return the content of the page for a diagnosis."""
-    from tissueid.app.views.gap.next_test import proposal_of
+    from tissueid.app.views.gap.page_content import proposal_of
     from tissueid.gap.answer import content_of
 
     return PageContent(**vars(content_of(found)), proposal=proposal_of(found, session))

@@ -36,8 +36,7 @@ from tissueid.app.views.gap.diagnosis_result import (
     why_not_accepted,
     write_report,
 )
-from tissueid.app.views.gap.next_test import prepared_words, session_url
-from tissueid.app.views.gap.page_content import as_title
+from tissueid.app.views.gap.page_content import as_title, prepared_words, session_url
 from tissueid.app.views.gap.request_panel import DiagnosisLoader, RequestPanel
 from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts

@@ -22,18 +22,20 @@ from tissueid.app.jobs import JobControl
 from tissueid.app.small_window import FoldingSplitter
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
 from tissueid.app.views.researcher.engine_form import EngineForm
-from tissueid.app.views.researcher.engine_outcome import MOST_TESTS, AnalysisTask, EngineOutcome, Preparation
-from tissueid.app.views.researcher.outcome_tabs import HistoryList, RecommendationView
-from tissueid.app.views.researcher.pictures import CalibrationButton, Pictures
-from tissueid.app.views.researcher.population_view import PopulationView
-from tissueid.app.views.researcher.results_store import (
+from tissueid.app.views.researcher.engine_outcome import (
     MOST_RESULTS,
+    MOST_TESTS,
     NAME,
     AnalysisHistory,
+    AnalysisTask,
+    EngineOutcome,
+    Preparation,
     StoredResults,
     read_results,
     write_results,
 )
+from tissueid.app.views.researcher.outcome_tabs import HistoryList, PopulationView, RecommendationView
+from tissueid.app.views.researcher.pictures import CalibrationButton, Pictures
 from tissueid.app.views.researcher.results_table import SERIES, ResultsTable
 from tissueid.app.views.researcher.save_dialog import SaveDialog
 from tissueid.app.views.researcher.selected_test import SelectedTest

@@ -9,8 +9,13 @@ from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, specifications
 from tissueid.app.user_files import stamp_of
-from tissueid.app.views.researcher.engine_outcome import MOST_TESTS, AnalysisTask, EngineOutcome
-from tissueid.app.views.researcher.results_store import AnalysisHistory, HistoryEntry
+from tissueid.app.views.researcher.engine_outcome import (
+    MOST_TESTS,
+    AnalysisHistory,
+    AnalysisTask,
+    EngineOutcome,
+    HistoryEntry,
+)
 from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError

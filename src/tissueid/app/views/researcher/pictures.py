@@ -1,4 +1,4 @@
-"""Overlaid plots of several results: one picture at a time, of one to three panels."""
+"""Overlaid plots of several results, one picture at a time, and their figures for files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals of tests over time with a brushed interval, and the spectra of that interval."""
+"""Signals of tests, loaded in a thread: over time with a brushed interval, and their spectra in that interval."""
 
 from __future__ import annotations
 

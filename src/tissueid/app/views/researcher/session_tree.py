@@ -1,4 +1,4 @@
-"""Tree view of the sessions, with a filter by search words, subject, site and kind."""
+"""The sessions as a model and as a tree, with a filter by search words, subject, site and kind."""
 
 from __future__ import annotations
 

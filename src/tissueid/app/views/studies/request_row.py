@@ -1,4 +1,4 @@
-"""Choices of the page: folder, engine and its options, and the buttons that analyse, report and measure."""
+"""Choices of the page, with the dialogs of the protocol and of the options of an engine."""
 
 from __future__ import annotations
 

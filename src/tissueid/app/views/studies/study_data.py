@@ -1,4 +1,4 @@
-"""Content of a study as the page shows it: the tests of its table, and sessions without a row. Independent of Qt."""
+"""Content of a study as the page shows it: tests of its table, and its figures. Independent of Qt."""
 
 from __future__ import annotations
 
