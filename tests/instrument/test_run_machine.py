@@ -401,6 +401,18 @@ def test_a_request_ends_with_a_new_error_of_the_run():
     assert host.state.mode is Mode.RELEASING
 
 
+@pytest.mark.parametrize("event", ["restart", "coil on"])
+def test_an_answer_to_arm_after_a_failure_arms_nothing(event):
+    host = Host(Mode.ARMED)
+    host.do(machine.ArmAsked(host.at, LIMITS))
+    sent = host.state.request.sent
+    host.at += 0.01
+    host.receive(status(boot_id=1) if event == "restart" else data(host.state.next_index, current=5.0))
+    host.receive(ack(sent))
+    assert host.state.limits is None
+    assert host.state.mode is (Mode.FAILED if event == "restart" else Mode.RELEASING)
+
+
 def test_a_clear_is_not_ended_by_the_fault_that_it_clears():
     host = Host(Mode.ARMED)
     host.do(machine.ClearAsked(host.at))
@@ -590,6 +602,7 @@ def test_without_a_device_on_a_link_nothing_is_encoded():
 # -- whatever happens -------------------------------------------------------------------------------------------------
 
 DRIVING = {MessageType.ARM, MessageType.START, MessageType.SETPOINTS}
+PLAYED_MODES = (Mode.RUNNING, Mode.STOPPED, Mode.FINISHING)
 VOLTS_PER_N = HANDSHAKE.device.coil_resistance_ohm / HANDSHAKE.device.force_constant_n_per_a
 
 volts = st.sampled_from([0.0, 6.0, -20.0, 31.9, 32.5, 47.9])
@@ -601,9 +614,9 @@ happenings = st.one_of(
     st.tuples(st.just("tick"), st.sampled_from([0.0, 0.01, 0.03, 0.1, 0.3, 1.1])),
     st.tuples(st.just("answer"), st.sampled_from([Result.OK, Result.OK, Result.OK, Result.BAD_STATE, Result.LATE])),
     st.tuples(st.just("status"), st.sampled_from(list(State)), st.sampled_from([0, 0, 1, 32]), st.booleans()),
-    st.tuples(st.just("load"), volts),
-    st.tuples(st.just("follow"), volts),
-    st.tuples(st.just("arm"), st.sampled_from([0.5, 8.0, 12.0])),
+    st.tuples(st.just("load"), volts, st.booleans()),
+    st.tuples(st.just("follow"), volts, st.booleans()),
+    st.tuples(st.just("arm"), st.sampled_from([0.5, 8.0, 12.0]), st.booleans()),
     st.tuples(st.just("points"), volts),
     st.tuples(st.sampled_from(["start", "start", "finish", "stop", "clear", "ask", "port", "bytes", "calibrate"])),
 )
@@ -611,9 +624,10 @@ happenings = st.one_of(
 
 PREFIXES = [
     [],
-    [("load", 6.0), ("arm", 8.0)],
-    [("load", 6.0), ("follow", 6.0), ("arm", 8.0), ("start",)],
-    [("load", 6.0), ("follow", 6.0), ("arm", 8.0), ("start",), ("answer", Result.OK)],
+    [("load", 6.0, True), ("arm", 8.0, False)],
+    [("load", 6.0, True), ("arm", 8.0, True)],
+    [("load", 6.0, True), ("follow", 6.0, True), ("arm", 8.0, True), ("start",)],
+    [("load", 6.0, True), ("follow", 6.0, True), ("arm", 8.0, True), ("start",), ("answer", Result.OK)],
 ]
 
 
@@ -638,9 +652,14 @@ class Watched(Host):
             self.check(action, before)
         if any(isinstance(action, machine.EndRun) and action.error is not None for action in actions):
             assert isinstance(actions[-1], machine.ReleaseCoil)
-        if self.state.mode in (Mode.RELEASING, Mode.FAILED, Mode.LOST):
-            assert self.state.run is self.state.limits is None
-        self.may_beat = self.state.mode not in (Mode.RELEASING, Mode.FAILED, Mode.LOST)
+        state, mode = self.state, self.state.mode
+        assert (state.stop is not None) == (mode is Mode.RELEASING)
+        assert (state.error is not None) == (mode in (Mode.FAILED, Mode.LOST)) or mode is Mode.RELEASING
+        assert (state.lost is not None) == (mode is Mode.LOST) or mode is Mode.RELEASING
+        assert (state.limits is not None) == (mode in (Mode.ARMED, Mode.STARTING, *PLAYED_MODES))
+        assert (state.run is not None) == (mode in PLAYED_MODES)
+        assert (state.unseen is not None) == (mode is Mode.UNSEEN_END) or mode is Mode.RELEASING
+        self.may_beat = mode not in (Mode.RELEASING, Mode.FAILED, Mode.LOST)
         return actions
 
     def check(self, action, before):
@@ -726,9 +745,8 @@ class Watched(Host):
                     "arm": lambda: machine.ArmAsked(at, replace(LIMITS, max_force_n=details[0])),
                 }[what]()
                 self.do(event)
-                while self.state.request is not None and self.state.request.asked is event:
+                while details[1] and self.state.request is not None and self.state.request.asked is event:
                     self.answer()
-                self.tick()
             case "points":
                 self.do(machine.SetPointsGiven(at, COMMAND.size, np.full(50, details[0])))
             case _:
@@ -745,7 +763,7 @@ class Watched(Host):
                 self.do(events[what])
 
 
-@pytest.mark.parametrize("prefix", PREFIXES, ids=["free", "armed", "starting", "running"])
+@pytest.mark.parametrize("prefix", PREFIXES, ids=["free", "arming", "armed", "starting", "running"])
 @settings(max_examples=60)
 @given(happened=st.lists(happenings, max_size=40), end=st.sampled_from(["fault", "silence", "stop"]))
 def test_whatever_happens_the_coil_is_released_and_every_sample_is_delivered_once(prefix, happened, end):

@@ -752,7 +752,7 @@ def _agree(s: RunState, at: float, request: PendingRequest, detail: int, out: _O
         s.command_v = np.asarray(asked.command_v, np.float64)
     elif isinstance(asked, FollowAsked):
         s.following, s.hold_v = asked.samples, asked.hold_v
-    elif isinstance(asked, ArmAsked):
+    elif isinstance(asked, ArmAsked) and s.mode in (Mode.FREE, Mode.ARMED):  # nothing failed meanwhile
         s.limits, s.mode, s.run, s.armed_s = request.limits, Mode.ARMED, None, at
         s.refused = s.margin_samples = None
         s.late_answers = s.late_blocks = s.repeated_blocks = s.held_received = s.held_samples = 0
