@@ -194,7 +194,22 @@ def _panels(calibration: Calibration) -> list[Panel]:
         panels.append(Panel(found.table, heading, alt, caption, partial(_draw_line, found=found), height=2.9))
     if "repeats" in calibration.tables:
         columns = {name: np.array(values) for name, values in calibration.tables["repeats"].items()}
-        panels.append(_repeats_panel(columns))
+
+        def draw(figure: FigureBase) -> None:
+            axes = figure.subplots()
+            draw_plot(axes, static_repeat_plot(columns), key=False)
+            key_over(figure, axes)
+
+        panels.append(
+            Panel(
+                "repeats",
+                _("Repeatability"),
+                _("Deviation of each repeat from the mean, in percent, for resistance, force constant and gains."),
+                _("Every run of the calibration relative to the mean of all runs."),
+                draw,
+                height=2.9,
+            )
+        )
     return panels
 
 
@@ -227,22 +242,6 @@ _LINES = {
 def _draw_line(figure: FigureBase, found: Residuals) -> None:
     """Draw a line with its readings, and their residuals on the right."""
     draw_row(figure, line_plots(found))
-
-
-def _repeats_panel(columns: Columns) -> Panel:
-    def draw(figure: FigureBase) -> None:
-        axes = figure.subplots()
-        draw_plot(axes, static_repeat_plot(columns), key=False)
-        key_over(figure, axes)
-
-    return Panel(
-        "repeats",
-        _("Repeatability"),
-        _("Deviation of each repeat from the mean, in percent, for resistance, force constant and gains."),
-        _("Every run of the calibration relative to the mean of all runs."),
-        draw,
-        height=2.9,
-    )
 
 
 _NEEDED = {

@@ -191,7 +191,21 @@ def stimulus_panels(design: StimulusDesign) -> Iterator[Panel]:
             ).format(spacing=number(multisine.resolution_hz)),
             lambda figure: draw_row(figure, [line_plot(multisine, design.stimulus)]),
         )
-    yield _power(design)
+    found, target = design.appraisal, design.target_power
+    edges = [(hz, label) for hz, label in ((found.power_95_hz, "95 %"), (found.power_99_hz, "99 %")) if hz is not None]
+    yield Panel(
+        "power",
+        _("Power spectral density"),
+        _("Power spectral density against frequency, both axes logarithmic, with its target where there is one."),
+        captions.joined(
+            _("Welch's estimate. Dotted: frequencies below which 95 % and 99 % of the power about the mean lie."),
+            "" if target is None else _("Dashed: target."),
+        ),
+        lambda figure: draw_row(
+            figure, [power_plot(design.played, design.stimulus.sample_rate_hz, design.stimulus.unit, target, edges)]
+        ),
+        wide=False,
+    )
     yield _autocorrelation(design)
     if design.search is not None:
         yield Panel(
@@ -218,25 +232,6 @@ def _draw_time_series(figure: FigureBase, design: StimulusDesign) -> None:
         )
         other.set_ylabel(_("Command (V)") if in_newtons else _("Force at rest (N)"))
         other.spines["right"].set_visible(True)
-
-
-def _power(design: StimulusDesign) -> Panel:
-    found = design.appraisal
-    edges = [(hz, label) for hz, label in ((found.power_95_hz, "95 %"), (found.power_99_hz, "99 %")) if hz is not None]
-    target = design.target_power
-    return Panel(
-        "power",
-        _("Power spectral density"),
-        _("Power spectral density against frequency, both axes logarithmic, with its target where there is one."),
-        captions.joined(
-            _("Welch's estimate. Dotted: frequencies below which 95 % and 99 % of the power about the mean lie."),
-            "" if target is None else _("Dashed: target."),
-        ),
-        lambda figure: draw_row(
-            figure, [power_plot(design.played, design.stimulus.sample_rate_hz, design.stimulus.unit, target, edges)]
-        ),
-        wide=False,
-    )
 
 
 def _autocorrelation(design: StimulusDesign) -> Panel:

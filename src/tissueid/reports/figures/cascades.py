@@ -199,7 +199,16 @@ def _nonlinearity(subject: FigureSubject[WienerModel]) -> Drawn:
     standard=Wiener.name,
 )
 def _iterations(subject: FigureSubject[WienerModel]) -> Drawn:
-    return row_figure(iteration_plots(subject.model), 2.9), _iterations_caption(subject.model)
+    model = subject.model
+    kept = _("Pass {chosen} (dotted) was kept, by its simulation error.")
+    if model.refined:
+        kept = _("Pass {chosen} (dotted) was kept, by its simulation error, and then refined jointly.")
+    scored = _(
+        "The linear stage is scored against the output that it was fitted to, which from the second pass "
+        "on is the measured output taken back through the nonlinearity."
+    )
+    text = [_("The passes should level off within a few."), kept.format(chosen=model.chosen), scored]
+    return row_figure(iteration_plots(model), 2.9), " ".join(text)
 
 
 def _nonlinearity_caption(model: WienerModel, record: Record, surface_position_m: float) -> str:
@@ -232,15 +241,3 @@ def _nonlinearity_caption(model: WienerModel, record: Record, surface_position_m
         surface = _("The surface of the tissue is at {place} mm on the actuator.")
         text.append(surface.format(place=fixed(1e3 * surface_position_m, 2)))
     return " ".join(text)
-
-
-def _iterations_caption(model: WienerModel) -> str:
-    """Under the history of the Wiener iteration."""
-    kept = _("Pass {chosen} (dotted) was kept, by its simulation error.")
-    if model.refined:
-        kept = _("Pass {chosen} (dotted) was kept, by its simulation error, and then refined jointly.")
-    scored = _(
-        "The linear stage is scored against the output that it was fitted to, which from the second pass "
-        "on is the measured output taken back through the nonlinearity."
-    )
-    return " ".join([_("The passes should level off within a few."), kept.format(chosen=model.chosen), scored])

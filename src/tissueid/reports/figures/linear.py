@@ -43,17 +43,15 @@ from tissueid.reports.style import HALF_WIDTH, MUTED, drawing, new_figure
     standard=Lms.name,
 )
 def _impulse_response(subject: FigureSubject[LmsModel]) -> Drawn:
-    return column_figure([impulse_response(subject.model, subject.record)], 4.6), _caption(subject.model)
-
-
-def _caption(model: LmsModel) -> str:
+    model = subject.model
     memory_ms = 1e3 * model.memory_samples / model.sample_rate_hz
     text = _(
         "The response rises, and should be over well before the end of the memory of {memory} ms; the "
         "points should scatter about the curve within the band. The last lags also carry what comes after the memory. "
         "A curve that dips below zero is that of a damping ratio below one."
     ).format(memory=number(memory_ms, 3))
-    return f"{text} {second_order(model.second_order)}"
+    drawn = column_figure([impulse_response(model, subject.record)], 4.6)
+    return drawn, f"{text} {second_order(model.second_order)}"
 
 
 @figure(
@@ -68,7 +66,14 @@ def _caption(model: LmsModel) -> str:
     short=True,
 )
 def _coherence(subject: FigureSubject[SpectralModel]) -> Drawn:
-    return coherence_figure(subject.model), _coherence_caption(subject.model)
+    model = subject.model
+    band = power_band(model.spectra)
+    mean = float(np.mean(model.spectra.coherence[band])) if band.any() else None
+    return coherence_figure(model), _(
+        "Near one where a linear system explains the motion; lower where nonlinearity, drift or noise takes part. "
+        "The mean over the excited band is {mean}. Unrelated signals exceed the dashed level of {level} at one "
+        "frequency in twenty."
+    ).format(mean=fixed(mean, 2), level=fixed(model.spectra.coherence_floor, 2))
 
 
 @figure(
@@ -83,7 +88,12 @@ def _coherence(subject: FigureSubject[SpectralModel]) -> Drawn:
     short=True,
 )
 def _bode(subject: FigureSubject[SpectralModel]) -> Drawn:
-    return column_figure(frequency_response(subject.model, subject.record), 4.6), _bode_caption(subject.model)
+    text = _(
+        "Over the band where the input has power. The magnitude should be level up to the natural frequency and then "
+        "fall with the square of the frequency, while the phase goes from 0° towards −180°."
+    )
+    drawn = column_figure(frequency_response(subject.model, subject.record), 4.6)
+    return drawn, f"{text} {second_order(subject.model.second_order)}"
 
 
 @drawing
@@ -98,26 +108,6 @@ def coherence_figure(model: SpectralModel) -> Figure:
         axes.annotate(words, (end, 1.0), (-3, 0), color=MUTED, **look)
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, min(0.7, model.spectra.coherence_floor + 0.01)))
     return figure
-
-
-def _coherence_caption(model: SpectralModel) -> str:
-    """Under the coherence."""
-    band = power_band(model.spectra)
-    mean = float(np.mean(model.spectra.coherence[band])) if band.any() else None
-    return _(
-        "Near one where a linear system explains the motion; lower where nonlinearity, drift or noise takes part. "
-        "The mean over the excited band is {mean}. Unrelated signals exceed the dashed level of {level} at one "
-        "frequency in twenty."
-    ).format(mean=fixed(mean, 2), level=fixed(model.spectra.coherence_floor, 2))
-
-
-def _bode_caption(model: SpectralModel) -> str:
-    """Under the Bode diagram."""
-    text = _(
-        "Over the band where the input has power. The magnitude should be level up to the natural frequency and then "
-        "fall with the square of the frequency, while the phase goes from 0° towards −180°."
-    )
-    return f"{text} {second_order(model.second_order)}"
 
 
 @figure(

@@ -342,12 +342,10 @@ def horizon(subject: FigureSubject[Model]) -> Drawn:
         "The prediction uses the whole input, and the output up to the horizon. At short horizons past errors of the "
         "model predict the next ones; at long horizons only the simulation remains, with {free} %."
     ).format(free=fixed(free, 1))
-    return drawn, captions.joined(text, _gain_of_prediction(float(curve.vaf_percent[0]) - free, subject))
-
-
-def _gain_of_prediction(points: float, subject: FigureSubject[Model]) -> str:
-    if points <= _SMALL_GAIN:
-        return _("The two differ little: the residual is nearly uncorrelated in time.")
-    return _(
-        "The difference of {points} points is slow errors: dynamics that {count} parameters do not describe."
-    ).format(points=fixed(points, 1), count=fixed(effective_parameters(subject.model.report), 0))
+    points = float(curve.vaf_percent[0]) - free
+    gain = _("The two differ little: the residual is nearly uncorrelated in time.")
+    if points > _SMALL_GAIN:
+        gain = _(
+            "The difference of {points} points is slow errors: dynamics that {count} parameters do not describe."
+        ).format(points=fixed(points, 1), count=fixed(effective_parameters(model.report), 0))
+    return drawn, captions.joined(text, gain)
