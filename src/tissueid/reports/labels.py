@@ -45,6 +45,7 @@ SETTINGS = (
     marked("Periods"),
     marked("Bins"),
     marked("Correlations"),
+    marked("Course"),
     marked("Cut"),
     marked("Damping asymmetry"),
     marked("Damping turn"),
