@@ -11,16 +11,16 @@ from identification import simulated
 from scipy import linalg, signal
 
 from tissueid.identification import impulse_response
-from tissueid.identification.correlation import (
+from tissueid.identification.impulse_response import (
     Correlator,
     condition_number,
     convolve_at_rest,
+    factor_input,
     lagged_products,
     long_run_covariance,
     toeplitz_inverse,
     toeplitz_solve,
 )
-from tissueid.identification.impulse_response import factor_input
 from tissueid.identification.preparation import prepare
 from tissueid.records import Record
 

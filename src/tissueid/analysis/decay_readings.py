@@ -29,7 +29,7 @@ from tissueid.analysis.step_readings import (
     estimate,
 )
 from tissueid.errors import UnusableInputError
-from tissueid.identification.correlation import dependence_samples, long_run_covariance
+from tissueid.identification.impulse_response import dependence_samples, long_run_covariance
 from tissueid.identification.second_order import SecondOrder
 from tissueid.language import marked
 from tissueid.messages import Message

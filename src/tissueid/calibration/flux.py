@@ -22,7 +22,7 @@ from scipy.interpolate import BSpline
 
 from tissueid.calibration.spring_points import SweepTest
 from tissueid.errors import UnusableInputError
-from tissueid.identification.correlation import dependence_samples, long_run_covariance
+from tissueid.identification.impulse_response import dependence_samples, long_run_covariance
 from tissueid.records import Estimate
 
 Array = NDArray[np.float64]

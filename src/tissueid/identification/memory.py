@@ -9,7 +9,7 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, Model, option
-from tissueid.identification.correlation import Correlator, convolve_at_rest, toeplitz_solve
+from tissueid.identification.impulse_response import Correlator, convolve_at_rest, toeplitz_solve
 from tissueid.identification.preparation import memory_in_samples, part_length, part_mask, typical_samples
 from tissueid.identification.second_order import HOLD, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, hold_of

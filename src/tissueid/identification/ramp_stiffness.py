@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from tissueid.identification.base import Array
-from tissueid.identification.correlation import dependence_samples
+from tissueid.identification.impulse_response import dependence_samples
 from tissueid.identification.second_order_fit import sandwich
 from tissueid.records import Estimate, Record
 

@@ -11,7 +11,7 @@ from scipy import special
 
 from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification.base import Array, Family
-from tissueid.identification.correlation import dependence_samples, long_run_covariance
+from tissueid.identification.impulse_response import dependence_samples, long_run_covariance
 from tissueid.identification.registry import label_of
 from tissueid.language import marked
 from tissueid.messages import Message

@@ -20,7 +20,7 @@ from scipy import fft
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
+from tissueid.identification.impulse_response import Correlator, dependence_samples, long_run_covariance
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, ErrorProblem, Minimum, minimise
 from tissueid.identification.preparation import finite_runs, part_length, scored_samples, typical_samples
 from tissueid.identification.second_order import (

@@ -19,14 +19,14 @@ from scipy import linalg
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import (
+from tissueid.identification.impulse_response import (
     ROWS_AT_ONCE,
     Correlator,
+    ImpulseResponses,
     convolve_at_rest,
     dependence_samples,
     long_run_covariance,
 )
-from tissueid.identification.impulse_response import ImpulseResponses
 from tissueid.identification.preparation import finite_runs
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order

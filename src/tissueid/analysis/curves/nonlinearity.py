@@ -26,10 +26,10 @@ from tissueid.analysis.curves.validation import ROLES
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
 from tissueid.identification.cascades.blocks import curve_slopes
-from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.engines.cascade import CascadeModel
 from tissueid.identification.engines.hammerstein import HammersteinModel
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.identification.impulse_response import convolve_at_rest
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
 from tissueid.language import marked
 from tissueid.messages import Message

@@ -19,7 +19,7 @@ from tissueid.identification.cascades.blocks import (
     with_scaled_argument,
     with_zero_at,
 )
-from tissueid.identification.correlation import convolve_at_rest, dependence_samples, long_run_covariance
+from tissueid.identification.impulse_response import convolve_at_rest, dependence_samples, long_run_covariance
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.static_nonlinearity import StaticNonlinearity

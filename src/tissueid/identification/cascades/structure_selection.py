@@ -29,7 +29,7 @@ from tissueid.identification.cascades.blocks import (
     slopes,
 )
 from tissueid.identification.cascades.fit import FittedCascade, fit_linear, refine, solve_with_ridge
-from tissueid.identification.correlation import dependence_samples, long_run_covariance
+from tissueid.identification.impulse_response import dependence_samples, long_run_covariance
 from tissueid.identification.validation import aicc
 from tissueid.language import marked
 from tissueid.messages import Listing, Message

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from tissueid.identification import levenberg_marquardt
 from tissueid.identification.base import Array
-from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.simulation import MOST_STEPS, NO_OWNERS, NO_SLOPES, integrate, intersample
+from tissueid.identification.impulse_response import dependence_samples, long_run_covariance
 from tissueid.identification.preparation import finite_runs
 from tissueid.identification.second_order import Hold
 from tissueid.records import Estimate, Record

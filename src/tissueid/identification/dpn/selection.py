@@ -16,7 +16,6 @@ import numpy as np
 
 from tissueid.formatting import number
 from tissueid.identification.base import Array
-from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.fit import (
     TOLERANCE,
@@ -27,6 +26,7 @@ from tissueid.identification.dpn.fit import (
     estimate,
     minimise,
 )
+from tissueid.identification.impulse_response import dependence_samples, long_run_covariance
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Estimate

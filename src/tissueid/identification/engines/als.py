@@ -10,8 +10,7 @@ import numpy as np
 from tissueid.errors import UnusableInputError
 from tissueid.identification import adaptive_least_squares as adaptation
 from tissueid.identification.base import Array, Family, option
-from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.impulse_response import convolve_at_rest, memory_warnings
 from tissueid.identification.online_identifier import Identifier, OnlineEngine, OnlineModel
 from tissueid.identification.preparation import PreparedRecord, prepare
 from tissueid.identification.registry import engine

@@ -19,8 +19,7 @@ from tissueid.identification.cascades.blocks import (
 )
 from tissueid.identification.cascades.fit import FittedCascade, fit_linear, hammerstein_passes, refine
 from tissueid.identification.cascades.normalisation import FLAT, has_steady_gains, normalise_gains, uncertainty
-from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.impulse_response import convolve_at_rest, memory_warnings
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine

@@ -8,8 +8,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from tissueid.identification.base import Array, Family, option
-from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import (
+    convolve_at_rest,
     factor_input,
     kernel_std,
     memory_warnings,

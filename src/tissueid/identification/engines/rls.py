@@ -11,8 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tissueid.identification.base import Array, Family, option
-from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import kernel_std, memory_warnings
+from tissueid.identification.impulse_response import convolve_at_rest, kernel_std, memory_warnings
 from tissueid.identification.online_identifier import Identifier, OnlineEngine, OnlineModel
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, PreparedRecord, prepare
 from tissueid.identification.registry import engine

@@ -12,7 +12,7 @@ from scipy import fft, signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Family, Model, option
-from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.impulse_response import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.preparation import (
     PreparedRecord,

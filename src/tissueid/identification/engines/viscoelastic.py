@@ -17,7 +17,7 @@ from scipy import fft
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, Family, FittedCurve, LineFigure, Mask, Model, option
-from tissueid.identification.correlation import Correlator, dependence_samples
+from tissueid.identification.impulse_response import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, ErrorProblem, minimise
 from tissueid.identification.preparation import complete_after_rest, finite_runs, prepare
 from tissueid.identification.ramp_stiffness import is_slow, ramp_stiffness

@@ -15,12 +15,11 @@ from scipy import fft
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
-from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.engines.als import Als, AlsIdentifier
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.rls import Rls, RlsIdentifier
 from tissueid.identification.engines.spectral import Spectral
-from tissueid.identification.impulse_response import kernel_std
+from tissueid.identification.impulse_response import convolve_at_rest, kernel_std
 from tissueid.identification.live.sliding import SlidingLms
 from tissueid.identification.live.stopping import PARAMETERS, Parameter, Precision
 from tissueid.identification.online_identifier import RECENT_S

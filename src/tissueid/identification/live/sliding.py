@@ -12,9 +12,16 @@ from scipy import linalg, signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
-from tissueid.identification.correlation import condition_number, toeplitz_inverse, toeplitz_solve
 from tissueid.identification.engines.lms import Lms, LmsModel
-from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE, factor_input, with_extra_memory
+from tissueid.identification.impulse_response import (
+    EXTRA_MEMORY_S,
+    RIDGE,
+    condition_number,
+    factor_input,
+    toeplitz_inverse,
+    toeplitz_solve,
+    with_extra_memory,
+)
 from tissueid.identification.least_squares import LaggedRegressors
 from tissueid.identification.preparation import (
     PreparedRecord,

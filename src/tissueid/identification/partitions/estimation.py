@@ -16,8 +16,8 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.dpn.simulation import Curves, simulate_dpn
+from tissueid.identification.impulse_response import dependence_samples, long_run_covariance
 from tissueid.identification.partitions.parameters import LocalParameters, local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, Partitions, solve_along_lags
 from tissueid.identification.preparation import PreparedRecord

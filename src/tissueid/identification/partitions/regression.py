@@ -18,7 +18,7 @@ from scipy import signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import dependence_samples, widening_of_blocks
+from tissueid.identification.impulse_response import dependence_samples, widening_of_blocks
 from tissueid.identification.least_squares import Factor, LaggedRegressors, factor
 from tissueid.identification.preparation import finite_runs
 from tissueid.identification.volterra.prior import residual_dependence

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.identification.base import Array, Engine, Model
-from tissueid.identification.correlation import dependence_samples, widening_of_blocks
+from tissueid.identification.impulse_response import dependence_samples, widening_of_blocks
 from tissueid.identification.preparation import complete_windows, part_mask, scored_samples
 from tissueid.messages import Message
 from tissueid.records import Record

@@ -17,7 +17,7 @@ from scipy import linalg
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask, Model, check_horizon
-from tissueid.identification.correlation import lagged_products
+from tissueid.identification.impulse_response import lagged_products
 from tissueid.identification.preparation import complete_windows, scored_samples
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.validation.scores import NO_SAMPLE, vaf_std_percent

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
-from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import factor_input, with_extra_memory
+from tissueid.identification.impulse_response import convolve_at_rest, factor_input, with_extra_memory
 from tissueid.identification.preparation import memory_in_samples, part_mask, prepare
 from tissueid.identification.validation.scores import ratio_std
 from tissueid.messages import Listing, Message

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import fft, linalg, special
 
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import ROWS_AT_ONCE
+from tissueid.identification.impulse_response import ROWS_AT_ONCE
 from tissueid.identification.validation.prediction import Autoregression
 
 Lags = NDArray[np.int_]

@@ -16,7 +16,7 @@ from scipy import special
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask, Model
-from tissueid.identification.correlation import Correlator
+from tissueid.identification.impulse_response import Correlator
 from tissueid.identification.preparation import scored_samples
 from tissueid.identification.validation.prediction import fit_autoregression
 from tissueid.identification.validation.residual_scores import (

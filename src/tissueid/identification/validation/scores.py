@@ -15,7 +15,7 @@ from scipy.special import stdtr
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import SIGNIFICANT, Array, Mask, Model, vaf_percent
-from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
+from tissueid.identification.impulse_response import Correlator, dependence_samples, long_run_covariance
 from tissueid.identification.preparation import scored_samples
 from tissueid.messages import Message
 from tissueid.records import Record

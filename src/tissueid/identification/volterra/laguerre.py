@@ -17,7 +17,7 @@ from scipy import linalg, ndimage, signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import long_run_covariance
+from tissueid.identification.impulse_response import long_run_covariance
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER
 from tissueid.messages import Message
 

@@ -10,7 +10,7 @@ from scipy import linalg
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import dependence_samples
+from tissueid.identification.impulse_response import dependence_samples
 from tissueid.identification.least_squares import Factor, factor
 from tissueid.identification.volterra.kernel_covariance import OutputCovariance, search
 from tissueid.identification.volterra.laguerre import laguerre_kernels

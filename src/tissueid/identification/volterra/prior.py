@@ -20,7 +20,7 @@ from scipy import linalg, optimize
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
-from tissueid.identification.correlation import Correlator
+from tissueid.identification.impulse_response import Correlator
 from tissueid.identification.volterra.kernel_covariance import FIRST, FirstOrderCovariance, SecondOrderCovariance
 from tissueid.identification.volterra.regressors import NormalEquations
 
