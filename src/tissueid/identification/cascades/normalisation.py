@@ -200,10 +200,8 @@ def parameters_at_rest(
         plain = {name: Estimate(estimate.value) for name, estimate in parameters.items()}
         return plain, [FLAT]
 
-    def log_gain(some: Blocks) -> Array:
-        return np.log(np.abs([np.sum(normalise(some).small_signal_kernel())]))
-
-    spread = float(np.sqrt(max(0.0, float(known.of(log_gain)[0, 0]))))
+    log_gain = known.of(lambda some: np.log(np.abs([np.sum(normalise(some).small_signal_kernel())])))
+    spread = float(np.sqrt(max(0.0, float(log_gain[0, 0]))))
     ratios = {"mass_kg": (1.0, 0.0, -1.0), "damping_n_s_per_m": (0.0, 1.0, -1.0)}
     found = dict(parameters)
     for name in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "gain"):

@@ -215,9 +215,6 @@ class Hammerstein(MemoryEngine):
         nonlinearity = normal.inner
         assert nonlinearity is not None
 
-        def kernel_of(some: Blocks) -> Array:
-            return normalise_gains(some, data, gains).first
-
         def curve_of(some: Blocks) -> Array:
             inner = normalise_gains(some, data, gains).inner
             assert inner is not None
@@ -268,7 +265,9 @@ class Hammerstein(MemoryEngine):
             sample_rate_hz=rate,
             memory_samples=lags,
             kernel=normal.first,
-            kernel_std=np.sqrt(np.maximum(np.diag(known.of(kernel_of)), 0.0)),
+            kernel_std=np.sqrt(
+                np.maximum(np.diag(known.of(lambda some: normalise_gains(some, data, gains).first)), 0.0)
+            ),
             lag_s=np.arange(lags) / rate,
             input_mean=prepared.input_mean,
             offset=normal.offset,

@@ -258,7 +258,7 @@ def _free_run_cells(
     x = np.concatenate(
         [np.full(grid.memory_samples - 1, mean), np.where(np.isfinite(record.input), record.input, mean)]
     )
-    return free_run(
+    return free_run(  # type: ignore[no-any-return]  # compiled
         x - solved.reference,
         solved.kernels,
         solved.offsets,

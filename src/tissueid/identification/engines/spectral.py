@@ -195,7 +195,9 @@ class Spectral(MemoryEngine):
         record = prepared.record
         length = memory_in_samples(self.window or _WINDOW_S, record.sample_rate_hz)
         stride = max(1, round(length * (1.0 - self.overlap)))
-        starts = prepared.part.start + segment_starts(record.valid[prepared.part], length, stride)
+        runs = finite_runs(record.valid[prepared.part])  # the grid of segments restarts after each gap
+        each = [np.arange(first, end - length + 1, stride) for first, end in runs]
+        starts = prepared.part.start + np.concatenate(each).astype(np.intp)
         if starts.size < 2:
             raise UnusableInputError(
                 "spectral.too_few_segments",
@@ -233,12 +235,6 @@ class Spectral(MemoryEngine):
             phase_std_rad=relative,
             averages=averages,
         )
-
-
-def segment_starts(clean: NDArray[np.bool_], length: int, stride: int) -> NDArray[np.intp]:
-    """Return the first samples of the segments without a gap; the grid restarts after each gap."""
-    starts = [np.arange(first, end - length + 1, stride) for first, end in finite_runs(clean)]
-    return np.concatenate(starts).astype(np.intp)
 
 
 def independent_averages(starts: NDArray[np.intp], taper: Array) -> float:

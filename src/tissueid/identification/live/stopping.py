@@ -129,16 +129,12 @@ class StopRule(BaseModel):
         except ValidationError as error:
             raise UnusableInputError(option_error(marked("stop rule"), cls.model_fields, error)) from error
 
-    def met_by(self, look: Precision) -> bool:
-        """Return whether one look meets every target."""
-        return all(look.relative_std[name] <= target for name, target in self.targets.items())
-
     def enough(self, looks: Sequence[Precision]) -> bool:
         """Return whether the latest of the looks, in time order, end the test."""
         newest = looks[-self.looks :]
         if len(newest) < self.looks or newest[-1].seconds < self.min_seconds:
             return False
-        return all(self.met_by(look) for look in newest)
+        return all(look.relative_std[name] <= target for look in newest for name, target in self.targets.items())
 
     def in_words(self, look: Precision) -> str:
         """Return the precision of each parameter, such as ``stiffness known to 1.9 % (target 2 %)``."""

@@ -113,11 +113,6 @@ class CellLines:
         rise = value - _powers(np.clip(inside, low + step, high - step), self.position, degree) @ coefficients
         return np.asarray(value + rise * (np.abs(position - inside) / step)[:, None], dtype=np.float64)
 
-    def line_at(self, position: Array) -> Array:
-        """Return the lines at positions (m,), (m, lines), constant beyond the cells."""
-        inside = np.clip(position, self.position.min(), self.position.max())
-        return _powers(inside, self.position, self.basis.shape[1] - 1)
-
 
 @dataclass(frozen=True, eq=False)
 class FittedTissue:
@@ -156,11 +151,14 @@ class FittedTissue:
         record = self.prepared.record
         grid = np.linspace(self.low, self.high, _ROWS)
         mass, damping, stiffness = np.exp(self.lines.at(grid, coefficients)).T
-        share = self.lines.line_at(grid) @ (self.lines.pick @ contrast.share)  # (rows, 2)
+        cells = self.lines.position
+        inside = np.clip(grid, cells.min(), cells.max())  # the lines are constant beyond the cells
+        lines = _powers(inside, cells, self.lines.basis.shape[1] - 1)
+        share = lines @ (self.lines.pick @ contrast.share)  # (rows, 2)
         share = np.clip(share, -_LARGEST_CONTRAST, _LARGEST_CONTRAST)
         direction = np.arctanh(share[:, 0])
         force, turned = _integrals(np.array([stiffness, share[:, 1] * stiffness]), float(grid[1] - grid[0]))
-        middle = float(np.mean(self.lines.position))
+        middle = float(np.mean(cells))
         turned = turned - float(np.interp(middle, grid, turned)) + contrast.level_n
         mean = self.sign * self.prepared.input_mean
         turns = bool(np.any(contrast.share)) or contrast.level_n != 0.0

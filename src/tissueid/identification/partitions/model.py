@@ -219,6 +219,7 @@ _TIE = 1e-9
 """Penalty that prefers the cell of the previous sample among equals, relative to the partitioned range."""
 
 
+@njit(cache=True)
 def scheduled_run(x: Array, cells: Cells, kernels: Array, offsets: Array, spacing: int, at_output: bool) -> Array:
     """Return the response to an input in given cells.
 
@@ -233,9 +234,20 @@ def scheduled_run(x: Array, cells: Cells, kernels: Array, offsets: Array, spacin
     Returns:
         Output, shape (n,).
     """
-    return np.asarray(_scheduled(x, cells, kernels, offsets, spacing, at_output), dtype=np.float64)
+    lags = kernels.shape[1]
+    warm = (lags - 1) * spacing
+    output = np.empty(x.size - warm)
+    for n in range(output.size):
+        now = cells[n + warm]
+        total = offsets[now]
+        for lag in range(lags):
+            place = n + warm - lag * spacing
+            total += kernels[now if at_output else cells[place], lag] * x[place]
+        output[n] = total
+    return output
 
 
+@njit(cache=True)
 def free_run(
     x: Array,
     kernels: Array,
@@ -269,40 +281,8 @@ def free_run(
     Returns:
         Output and cells, both of shape (n,).
     """
-    span = float(inner[-1] - inner[0]) if inner.size > 1 else abs(rest_output)
-    output, cells = _free(
-        x,
-        kernels,
-        offsets,
-        spacing,
-        at_output,
-        inner,
-        directional,
-        pole,
-        rest_cell,
-        rest_output,
-        _TIE * max(span, 1e-12),
-    )
-    return np.asarray(output, dtype=np.float64), np.asarray(cells, dtype=np.int64)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _scheduled(x, cells, kernels, offsets, spacing, at_output):  # type: ignore[no-untyped-def]
-    lags = kernels.shape[1]
-    warm = (lags - 1) * spacing
-    output = np.empty(x.size - warm)
-    for n in range(output.size):
-        now = cells[n + warm]
-        total = offsets[now]
-        for lag in range(lags):
-            place = n + warm - lag * spacing
-            total += kernels[now if at_output else cells[place], lag] * x[place]
-        output[n] = total
-    return output
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _free(x, kernels, offsets, spacing, at_output, inner, directional, pole, rest_cell, rest_output, tie):  # type: ignore[no-untyped-def]
+    span = inner[-1] - inner[0] if inner.size > 1 else abs(rest_output)
+    tie = _TIE * max(span, 1e-12)
     count, lags = kernels.shape
     depths = inner.size + 1
     warm = (lags - 1) * spacing
@@ -405,7 +385,7 @@ class PartitionedModel(Model):
             self.rest_position,
         )
         output[~complete_after_rest(np.isfinite(u), self.memory_samples)] = np.nan
-        return output
+        return output  # type: ignore[no-any-return]  # compiled
 
     def simulate_scheduled(self, record: Record) -> Array:
         """Simulate with kernels selected by the measured output, shape (n,), as in the thesis.
@@ -428,7 +408,7 @@ class PartitionedModel(Model):
             self.at_output,
         )
         output[~complete_after_rest(known, self.window)] = np.nan
-        return output
+        return output  # type: ignore[no-any-return]  # compiled
 
     def depth_profile(self) -> DepthProfile | None:
         """Return the mass, damping and stiffness of each cell; None if the record is not force and position."""

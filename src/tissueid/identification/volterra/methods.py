@@ -394,7 +394,17 @@ def regularised_least_squares(regressors: VolterraRegressors, output: Array) -> 
         UnusableInputError: too few independent rows to select a prior.
     """
     if regressors.order == 3 or regressors.columns > _LARGEST_DIRECT:
-        return _by_kernel_regression(regressors, output)
+        dual = regression_kernels(
+            regressors.x, output, regressors.used, regressors.lags, regressors.spacing, regressors.order
+        )
+        return Solved(
+            kernels=Kernels(dual.kernel0, dual.kernel1, dual.kernel2, dual.kernel3),
+            kernel1_std=dual.kernel1_std,
+            kernel2_std=dual.kernel2_std,
+            parameters=dual.effective_parameters,
+            details=_prior_details(dual),
+            warnings=dual.warnings,
+        )
     y = output[regressors.rows]
     found = regularised_fit(regressors.normal_equations(regressors.gram(), y), regressors, y)
     theta = found.coefficients.copy()
@@ -428,20 +438,6 @@ def laguerre_least_squares(regressors: VolterraRegressors, output: Array) -> Sol
             "laguerre_functions": float(found.functions.shape[1]),
             "vaf_left_out_percent": found.held_out_percent,
         },
-        warnings=found.warnings,
-    )
-
-
-def _by_kernel_regression(regressors: VolterraRegressors, output: Array) -> Solved:
-    found = regression_kernels(
-        regressors.x, output, regressors.used, regressors.lags, regressors.spacing, regressors.order
-    )
-    return Solved(
-        kernels=Kernels(found.kernel0, found.kernel1, found.kernel2, found.kernel3),
-        kernel1_std=found.kernel1_std,
-        kernel2_std=found.kernel2_std,
-        parameters=found.effective_parameters,
-        details=_prior_details(found),
         warnings=found.warnings,
     )
 
