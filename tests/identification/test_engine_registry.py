@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 import pytest
-from coded import refused
+from coded import coded
 from plugged import Plugin, plugged_in
 
 from tissueid.errors import UnusableInputError
@@ -38,8 +38,9 @@ def test_built_in_engines_are_found():
 
 
 def test_an_unknown_name_lists_those_there_are():
-    refused(lambda: get_engine("lsm"), "registry.unknown_name", name="lsm")
-    assert {"lms", "wiener"} <= set(refused.value.message.values["names"].items)
+    with pytest.raises(UnusableInputError, check=coded("registry.unknown_name", name="lsm")) as error:
+        get_engine("lsm")
+    assert {"lms", "wiener"} <= set(error.value.message.values["names"].items)
 
 
 def test_third_parties_add_engines_by_entry_point(plugins: list[Plugin]):
