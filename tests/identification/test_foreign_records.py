@@ -231,9 +231,9 @@ def test_a_numerical_failure_is_one_line_of_a_comparison(error: str):
     parts = split_records([simulated.linear_record(1, n=3000)])
     found = compare((*specifications(["lms"]), Failing(error=error)), parts)
     assert set(found.analyses) == {"lms"}
-    refused = found.entries[1].refused
-    assert code_of(refused) == "engine.not_computed"
-    assert "\n" not in refused
+    reason = found.entries[1].refused
+    assert code_of(reason) == "engine.not_computed"
+    assert "\n" not in reason
     refused(lambda: Failing(error=error).fit(parts.record), "engine.not_computed", name="failing")
 
 
