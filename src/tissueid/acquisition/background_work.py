@@ -136,13 +136,13 @@ def predict_heating(
         winding = WindingTemperature(device)
         winding.take(np.zeros(0), np.array([begin_c]), 0.0)
         unknown = np.full(current.size, np.nan)  # no sensor yet
-        found = []
+        temperatures = []
         for repeat in range(repeats):
             if repeat:
                 winding.cool(rest)
             winding.take(current, unknown, 0.0)
-            found.append(winding.temperature_c)
-        return tuple(found)
+            temperatures.append(winding.temperature_c)
+        return tuple(temperatures)
 
     def holds(steps: int) -> bool:
         return max(ends(steps * _RESOLUTION_S)) + _MARGIN_K <= limit_c

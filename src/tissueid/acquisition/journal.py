@@ -83,10 +83,10 @@ class Damage:
         self.places += 1
         self.bytes += count
 
-    def leave_out(self, words: str) -> None:
+    def leave_out(self, message: str) -> None:
         """Add a message about an omitted test."""
         self.places += 1
-        self.left_out.append(words)
+        self.left_out.append(message)
 
 
 def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Entry, bytes]]:
@@ -101,34 +101,34 @@ def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Ent
     with path.open("rb") as file:
         end = os.fstat(file.fileno()).st_size
         magic = file.read(len(MAGIC))
-        place = len(MAGIC)
+        offset = len(MAGIC)
         if not MAGIC.startswith(magic):
-            if entry_at(file, place, end) is None:
+            if entry_at(file, offset, end) is None:
                 raise UnusableInputError("journal.not_one", "{path} is not a journal of this software", path=str(path))
-            damage.add(place)
+            damage.add(offset)
         budget = MAX_CHECKED
-        while place < end:
-            entry = entry_at(file, place, end)
+        while offset < end:
+            entry = entry_at(file, offset, end)
             if entry is None:
-                found, budget = _next_entry(file, place + 1, end, budget)
-                if found < end or not _cut_off(file, place, end):
-                    damage.add(found - place)
-                place = found
+                next_offset, budget = _next_entry(file, offset + 1, end, budget)
+                if next_offset < end or not _cut_off(file, offset, end):
+                    damage.add(next_offset - offset)
+                offset = next_offset
                 continue
             kind, payload = entry
-            place += _ENTRY.size + len(payload) + _CRC.size
+            offset += _ENTRY.size + len(payload) + _CRC.size
             with contextlib.suppress(ValueError):  # a kind of a newer version
                 yield Entry(kind), payload
 
 
-def entry_at(file: IO[bytes], place: int, end: int) -> tuple[int, bytes] | None:
+def entry_at(file: IO[bytes], offset: int, end: int) -> tuple[int, bytes] | None:
     """Return kind and payload of the entry at ``place``; None without an intact entry."""
-    file.seek(place)
+    file.seek(offset)
     head = file.read(_ENTRY.size)
     if len(head) < _ENTRY.size:
         return None
     kind, length = _ENTRY.unpack(head)
-    if length > min(MAX_ENTRY, end - place):
+    if length > min(MAX_ENTRY, end - offset):
         return None
     payload, crc = file.read(length), file.read(_CRC.size)
     if len(crc) < _CRC.size or zlib.crc32(payload, zlib.crc32(head)) != _CRC.unpack(crc)[0]:
@@ -136,15 +136,15 @@ def entry_at(file: IO[bytes], place: int, end: int) -> tuple[int, bytes] | None:
     return kind, payload
 
 
-def _next_entry(file: IO[bytes], place: int, end: int, budget: int) -> tuple[int, int]:
+def _next_entry(file: IO[bytes], offset: int, end: int, budget: int) -> tuple[int, int]:
     """Return the offset of the next intact entry, or the end, and the remaining budget of bytes to check."""
-    while place < end:
-        file.seek(place)
+    while offset < end:
+        file.seek(offset)
         piece = file.read(_PIECE + _ENTRY.size - 1)
         if len(piece) < _ENTRY.size:
             break
         for match in _HEADS.finditer(piece):
-            begin = place + match.start()
+            begin = offset + match.start()
             _, length = _ENTRY.unpack_from(piece, match.start())
             if begin + _ENTRY.size + length + _CRC.size > end:
                 continue
@@ -153,18 +153,18 @@ def _next_entry(file: IO[bytes], place: int, end: int, budget: int) -> tuple[int
                 return end, 0
             if entry_at(file, begin, end) is not None:
                 return begin, budget
-        place += _PIECE
+        offset += _PIECE
     return end, budget
 
 
-def _cut_off(file: IO[bytes], place: int, end: int) -> bool:
+def _cut_off(file: IO[bytes], offset: int, end: int) -> bool:
     """Return whether the last bytes may be a truncated entry or unused space."""
-    file.seek(place)
+    file.seek(offset)
     head = file.read(_ENTRY.size)
     if len(head) < _ENTRY.size:
         return True
     kind, length = _ENTRY.unpack(head)
-    if kind > 0 and length <= MAX_ENTRY and place + _ENTRY.size + length + _CRC.size > end:
+    if kind > 0 and length <= MAX_ENTRY and offset + _ENTRY.size + length + _CRC.size > end:
         return True
     while head and not head.strip(b"\0"):
         head = file.read(_PIECE)

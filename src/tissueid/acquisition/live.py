@@ -69,14 +69,14 @@ class LiveIdentification:
             return
         if self._first_index is None:
             self._first_index = int(samples["index"][0])
-        place = samples["index"].astype(np.int64) - self._first_index - self._preload - self._fed
-        new = place >= 0
+        index = samples["index"].astype(np.int64) - self._first_index - self._preload - self._fed
+        new = index >= 0
         if not new.any():
             return
-        place = place[new]
-        block = np.full((2, int(place[-1]) + 1), np.nan)
-        block[0, place] = recorded_force(samples[new], self._device)
-        block[1, place] = samples["position"][new]
+        index = index[new]
+        block = np.full((2, int(index[-1]) + 1), np.nan)
+        block[0, index] = recorded_force(samples[new], self._device)
+        block[1, index] = samples["position"][new]
         self._fed += block.shape[1]
         self.estimator.take(block[0], block[1])
 

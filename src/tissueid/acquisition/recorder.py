@@ -369,9 +369,9 @@ class SessionRecorder:
             reason = (error.strerror or str(error)) if isinstance(error, OSError) else error.message
             values = {"path": str(self.path), "reason": reason, "journal": str(journal_path(self.path))}
             if not self.samples_appended:
-                words = Message("recording.none", "cannot write {path}: {reason}. Nothing was recorded", **values)
+                message = Message("recording.none", "cannot write {path}: {reason}. Nothing was recorded", **values)
             elif isinstance(error, SessionExistsError):
-                words = Message(
+                message = Message(
                     "recording.kept_exists",
                     "cannot write {path}: {reason}. The recording is kept in {journal}; move that file away or choose "
                     "another ({out}), and {action} makes the session",
@@ -380,7 +380,7 @@ class SessionRecorder:
                     action=RECOVER,
                 )
             else:
-                words = Message(
+                message = Message(
                     "recording.kept",
                     "cannot write {path}: {reason}. The recording is kept in {journal}; when the cause is removed, "
                     "{action} makes the session from it, on another disk if you choose one ({out})",
@@ -388,7 +388,7 @@ class SessionRecorder:
                     out=_OUT_OPTION,
                     action=RECOVER,
                 )
-            raise JournalError(words) from error
+            raise JournalError(message) from error
 
     def _test(self, number: int) -> str:
         return f"{self.session_id} test {number}"
@@ -429,9 +429,9 @@ def _reason(cause: BaseException) -> str:
     return cause.message if isinstance(cause, TissueIDError) else str(cause) or type(cause).__name__
 
 
-def _without_names(words: str, path: Path) -> str:
+def _without_names(text: str, path: Path) -> str:
     """Return a text for the audit log without file names, which may contain names of people."""
-    return words.replace(str(path), "the session").replace(str(path.parent), "its folder")
+    return text.replace(str(path), "the session").replace(str(path.parent), "its folder")
 
 
 def _end_name(status: str, cause: BaseException | None) -> str:

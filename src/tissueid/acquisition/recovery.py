@@ -121,21 +121,21 @@ class OpenTest:
     def close(self, device: DeviceDescription) -> Test | None:
         """Return the finished test, up to the release of the coil; None if no sample was received."""
         samples = join_blocks(self.blocks)
-        place = samples["index"].astype(np.int64) - self.run.first_index
-        inside = (place >= 0) & (place < self.run.samples)  # a test that ended early has fewer than planned
+        index = samples["index"].astype(np.int64) - self.run.first_index
+        inside = (index >= 0) & (index < self.run.samples)  # a test that ended early has fewer than planned
         played = trim_at_release(samples[inside])
         after_release = int(np.count_nonzero(is_not_played(samples[inside][played.size :])))
-        samples, place = played, place[inside][: played.size]
+        samples, index = played, index[inside][: played.size]
         if not samples.size:
             return None
         # A test that ended early ends with its last received sample; gaps stay NaN.
-        length = self.run.samples if self.status == "completed" else int(place.max()) + 1
+        length = self.run.samples if self.status == "completed" else int(index.max()) + 1
         signals = {}
         for name in SIGNALS:
             signals[name] = np.full(length, np.nan)
-            signals[name][place] = samples[name]
+            signals[name][index] = samples[name]
         signals["force"] = np.full(length, np.nan)
-        signals["force"][place] = recorded_force(samples, device)
+        signals["force"][index] = recorded_force(samples, device)
         notes = force_notes(device) | self.head.notes | self.notes
         if missing := int(np.isnan(signals["position"]).sum()):
             notes["samples_lost"] = missing
@@ -311,8 +311,8 @@ def _with_quality(tests: Iterator[Test], device: DeviceDescription) -> Iterator[
     """Judge the tests that were not judged before the crash, each against those before it."""
     gate = QualityGate(device)
     for test in tests:
-        found = gate.judge(test)
-        yield test if quality_of(test) is not None else replace(test, notes=test.notes | found.as_notes())
+        quality = gate.judge(test)
+        yield test if quality_of(test) is not None else replace(test, notes=test.notes | quality.as_notes())
 
 
 def session_from_entries(entries: _Entries) -> Session:
@@ -440,25 +440,25 @@ def recover(
                 )
         elif not tests:
             if damage.left_out:
-                words = Message(
+                message = Message(
                     "recovery.too_few",
                     "{path} is damaged, and there is nothing to save: {tests}",
                     path=str(journal),
                     tests=_shortened(damage.left_out),
                 )
             elif damage.places:
-                words = Message(
+                message = Message(
                     "recovery.nothing_damaged",
                     "{path} is damaged, and there is nothing to save: it holds no sample of any test",
                     path=str(journal),
                 )
             else:
-                words = Message(
+                message = Message(
                     "recovery.nothing",
                     "{path} holds no sample of any test: there is nothing to save; delete it",
                     path=str(journal),
                 )
-            raise UnusableInputError(words)
+            raise UnusableInputError(message)
         else:
             again = Damage()
             tests_again = _tests(read_entries(journal, again), session.instrument, again)

@@ -159,14 +159,14 @@ def orientation_of(along: NDArray[np.float64], across: NDArray[np.float64]) -> O
 
     Two axes do not measure the component of gravity along the third, so their vector sum is at most g.
     """
-    known = np.isfinite(along) & np.isfinite(across)
-    if not known.any():
+    finite = np.isfinite(along) & np.isfinite(across)
+    if not finite.any():
         return Orientation(
             why=Message(
                 "placing.no_acceleration", "the accelerometer gives no reading: {assumed}", assumed=_ASSUMED_DOWN
             )
         )
-    x, y = float(along[known].mean()), float(across[known].mean())
+    x, y = float(along[finite].mean()), float(across[finite].mean())
     size = math.hypot(x, y)
     if size > MAX_GRAVITY_M_S2:
         return Orientation(
@@ -177,7 +177,7 @@ def orientation_of(along: NDArray[np.float64], across: NDArray[np.float64]) -> O
                 assumed=_ASSUMED_DOWN,
             )
         )
-    if size < _MIN_GRAVITY_M_S2 and float(np.ptp(along[known])) == 0.0:
+    if size < _MIN_GRAVITY_M_S2 and float(np.ptp(along[finite])) == 0.0:
         return Orientation(
             why=Message(
                 "placing.zero",

@@ -122,8 +122,8 @@ def read_at_most(path: Path, most_bytes: int, too_large: Message) -> bytes:
 
 
 def _columns(path: Path, data: bytes) -> _Columns:
-    found = _of_npy(path, data) if data.startswith(_NPY) or path.suffix.lower() == ".npy" else _of_text(path, data)
-    for values in (found.values,) if found.times is None else (found.times, found.values):
+    columns = _of_npy(path, data) if data.startswith(_NPY) or path.suffix.lower() == ".npy" else _of_text(path, data)
+    for values in (columns.values,) if columns.times is None else (columns.times, columns.values):
         if not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
             raise UnusableInputError(
@@ -137,7 +137,7 @@ def _columns(path: Path, data: bytes) -> _Columns:
                 row=int(np.argmax(np.abs(values) > _LARGEST)) + 1,
                 most=_LARGEST,
             )
-    return found
+    return columns
 
 
 def _check_count(path: Path, count: int) -> None:
@@ -200,7 +200,9 @@ def _of_text(path: Path, data: bytes) -> _Columns:
     ]
     if not lines:
         raise UnusableInputError("waveform.short", "{path} has fewer than two samples", path=str(path))
-    delimiter = next((one for one in (";", "\t", ",") if one in "".join(line for _number_of, line in lines[:2])), " ")
+    delimiter = next(
+        (sign for sign in (";", "\t", ",") if sign in "".join(line for _number_of, line in lines[:2])), " "
+    )
     unit: Unit = "N"
     most = 2
     head = _cells(lines[0][1], delimiter)
@@ -249,12 +251,12 @@ def _check_units(path: Path, head: list[str]) -> None:
     from tissueid.sessions.imports.imported_table import Column  # takes long to import
     from tissueid.sessions.imports.stated_units import unit_of
 
-    for place, cell in enumerate(head):
-        is_time = place == 0 and len(head) > 1
+    for index, cell in enumerate(head):
+        is_time = index == 0 and len(head) > 1
         roles = (("time", "s"),) if is_time else (("force", "N"), ("voltage", "V"))
         stated = next((text for role in roles if (text := Column.headed(cell).unit_for(*role))), "")
-        known = unit_of(stated, roles[0][1])
-        if stated and (known is None or (known.si, known.scale) != (roles[0][1], 1.0)):
+        unit = unit_of(stated, roles[0][1])
+        if stated and (unit is None or (unit.si, unit.scale) != (roles[0][1], 1.0)):
             raise UnusableInputError(
                 "waveform.unit",
                 "{path}: column '{column}' is in {unit}; times of a waveform are in s and values in N: convert them",

@@ -53,12 +53,12 @@ def judge(test: Test, device: DeviceDescription, earlier: Sequence[Test] = ()) -
     Checks of missing signals are skipped. ``earlier`` may contain any tests; those that are not comparable are ignored.
     """
     prepared = PreparedTest(test, device)
-    found: list[QualityFinding] = [finding for check in CHECKS for finding in check(prepared)]
+    findings: list[QualityFinding] = [finding for check in CHECKS for finding in check(prepared)]
     others = signal_checks.comparable_tests(test, earlier)
     surfaces = np.array([other.surface_position_m for other in others])
-    found += contact_checks.check_surface(prepared, surfaces[np.isfinite(surfaces)])
-    found += signal_checks.check_against_earlier(prepared, others)
-    return worst_first(found)
+    findings += contact_checks.check_surface(prepared, surfaces[np.isfinite(surfaces)])
+    findings += signal_checks.check_against_earlier(prepared, others)
+    return worst_first(findings)
 
 
 NOT_JUDGED = Quality(
@@ -83,20 +83,20 @@ class QualityGate:
 
     def judge(self, test: Test) -> Quality:
         """Judge the newest test."""
-        found = _judged(test, self._device, self.earlier)
-        if found is None:
+        quality = _judged(test, self._device, self.earlier)
+        if quality is None:
             return NOT_JUDGED
         kept = {name: values for name, values in test.signals.items() if name in COMPARED_SIGNALS}
         self.earlier.append(replace(test, signals=kept))
         while sum(other.samples for other in self.earlier) > MAX_SAMPLES:
             self.earlier.pop(0)
-        return found
+        return quality
 
 
 def judge_session(session: Session) -> Iterator[tuple[Test, Quality]]:
     """Judge the tests of a session again, each against those before it."""
-    for place, test in enumerate(session.tests):
-        yield test, _judged(test, session.instrument, session.tests[:place]) or NOT_JUDGED
+    for index, test in enumerate(session.tests):
+        yield test, _judged(test, session.instrument, session.tests[:index]) or NOT_JUDGED
 
 
 def _judged(test: Test, device: DeviceDescription, earlier: Sequence[Test]) -> Quality | None:

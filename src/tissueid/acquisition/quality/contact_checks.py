@@ -95,19 +95,19 @@ def check_reference(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report a shifted reference: a shift of the position that neither force nor creep explains."""
     if not prepared.mechanical or prepared.test.kind in ("free_air", "quiet"):
         return
-    found = [shift for shift in (baseline_shift(prepared), preload_shift(prepared)) if shift is not None]
-    if not found:
+    shifts = [shift for shift in (baseline_shift(prepared), preload_shift(prepared)) if shift is not None]
+    if not shifts:
         return
-    shift, at_s, sudden = max(found, key=lambda item: abs(item[0]))
+    shift, at_s, sudden = max(shifts, key=lambda item: abs(item[0]))
     texts, size = prepared.texts, 1e3 * abs(shift)
     if sudden:
-        words = Message("quality.reference_moved.jump", texts.position_jump, size=size, seconds=at_s)
+        message = Message("quality.reference_moved.jump", texts.position_jump, size=size, seconds=at_s)
     else:
-        words = Message("quality.reference_moved.drift", texts.position_drift, size=size)
+        message = Message("quality.reference_moved.drift", texts.position_drift, size=size)
     yield QualityFinding(
         "reference_moved",
         "repeat" if abs(shift) > MOVED_REPEAT_M else "look",
-        words,
+        message,
         texts.reference_advice,
         abs(shift),
     )

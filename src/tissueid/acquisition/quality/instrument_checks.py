@@ -72,13 +72,13 @@ def check_completion(prepared: PreparedTest) -> Iterator[QualityFinding]:
     else:
         when = Message("quality.ended_early.stimulus", "after {seconds:.1f} s of its stimulus", seconds=seconds)
     if test.status == "aborted":
-        words = Message("quality.ended_early", "The test was stopped {when}.", when=when)
+        message = Message("quality.ended_early", "The test was stopped {when}.", when=when)
         if reason:
-            words = Message("quality.ended_early", "The test was stopped {when}: {reason}.", when=when, reason=reason)
+            message = Message("quality.ended_early", "The test was stopped {when}: {reason}.", when=when, reason=reason)
     else:
-        words = Message("quality.recovered", "The recording was interrupted {when} and was recovered.", when=when)
+        message = Message("quality.recovered", "The recording was interrupted {when} and was recovered.", when=when)
         if reason:
-            words = Message(
+            message = Message(
                 "quality.recovered",
                 "The recording was interrupted {when} and was recovered: {reason}.",
                 when=when,
@@ -87,7 +87,7 @@ def check_completion(prepared: PreparedTest) -> Iterator[QualityFinding]:
     yield QualityFinding(
         "ended_early",
         "repeat",
-        words,
+        message,
         marked("Remove the cause and run the test again. The recorded part can be analysed, but is short."),
         seconds,
     )
@@ -148,13 +148,13 @@ def check_saturation(prepared: PreparedTest) -> Iterator[QualityFinding]:
     if worst <= FULL_SHARE:
         return
     if full >= weak:
-        words = Message(
+        message = Message(
             "quality.saturated.converter",
             "A converter was at the end of its range for {percent:.2f} % of the test: the recording is clipped there.",
             percent=100 * worst,
         )
     else:
-        words = Message(
+        message = Message(
             "quality.saturated.amplifier",
             "The amplifier was at its limit for {percent:.2f} % of the test: the force is clipped there.",
             percent=100 * worst,
@@ -162,7 +162,7 @@ def check_saturation(prepared: PreparedTest) -> Iterator[QualityFinding]:
     yield QualityFinding(
         "saturated",
         "repeat" if worst > FULL_REPEAT_SHARE else "look",
-        words,
+        message,
         marked("Lower the force, and check that the probe neither strikes anything nor reaches the end of its stroke."),
         worst,
     )
@@ -198,13 +198,13 @@ def check_stroke(prepared: PreparedTest) -> Iterator[QualityFinding]:
         return
     room_mm = 1e3 * max(room, 0.0)
     if position.min() - low < high - position.max():
-        words = Message(
+        message = Message(
             "quality.end_of_stroke.inner",
             "The probe came within {room:.2f} mm of the inner end of its stroke.",
             room=room_mm,
         )
     else:
-        words = Message(
+        message = Message(
             "quality.end_of_stroke.outer",
             "The probe came within {room:.2f} mm of the outer end of its stroke.",
             room=room_mm,
@@ -212,7 +212,7 @@ def check_stroke(prepared: PreparedTest) -> Iterator[QualityFinding]:
     yield QualityFinding(
         "end_of_stroke",
         "repeat" if room <= 0.0 else "look",
-        words,
+        message,
         prepared.texts.stroke_advice,
         room,
     )
@@ -355,15 +355,15 @@ def check_temperature(prepared: PreparedTest) -> Iterator[QualityFinding]:
     signal = prepared.signal("temperature")
     if signal is None:
         return
-    known = signal[np.isfinite(signal)]
-    tenth = max(1, known.size // 10)
+    temperatures = signal[np.isfinite(signal)]
+    tenth = max(1, temperatures.size // 10)
     # Means suppress the noise of single samples.
-    begin, end = float(known[:tenth].mean()), float(known[-tenth:].mean())
+    begin, end = float(temperatures[:tenth].mean()), float(temperatures[-tenth:].mean())
     hottest = max(begin, end)
     limit_c = _limit(prepared, "limit_max_temperature_c", np.nan)
     test = prepared.test
     too_hot = test.status == "aborted" and not _TOO_HOT.isdisjoint(reason_codes(test.reason))
-    if too_hot and float(known.max()) < limit_c:
+    if too_hot and float(temperatures.max()) < limit_c:
         yield QualityFinding(
             "coil_warm",
             "look",
@@ -404,8 +404,8 @@ def check_calibration(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report a missing, outdated or failed calibration, and its warnings."""
     calibration = prepared.device.calibration
     state = calibration.get("state")
-    known = prepared.device.calibration_warnings
-    warnings = Listing(known, "; ", "; ")
+    device_warnings = prepared.device.calibration_warnings
+    warnings = Listing(device_warnings, "; ", "; ")
     if not calibration and IMPORTED in prepared.test.notes:
         return  # imported tests carry no calibration information
     if not calibration or state == "none":
@@ -424,7 +424,7 @@ def check_calibration(prepared: PreparedTest) -> Iterator[QualityFinding]:
             "calibration_stale",
             "look",
             Message("quality.calibration_stale", "The calibration is out of date: {warnings}.", warnings=warnings)
-            if known
+            if device_warnings
             else Message("quality.calibration_stale", "The calibration is out of date."),
             Message(
                 "quality.calibration_stale.advice",
@@ -440,11 +440,11 @@ def check_calibration(prepared: PreparedTest) -> Iterator[QualityFinding]:
             Message(
                 "quality.calibration_failed", "The active calibration is not reliable: {warnings}.", warnings=warnings
             )
-            if known
+            if device_warnings
             else Message("quality.calibration_failed", "The active calibration is not reliable."),
             marked("Have the instrument calibrated before the next test."),
         )
-    elif known:
+    elif device_warnings:
         yield QualityFinding(
             "calibration_warning",
             "note",

@@ -236,9 +236,9 @@ class PreparedTest:
         """Mask of the stimulus samples with valid filtered signals: more than 10 ms from gaps and ends."""
         edge = round(_EDGE_S * self.rate)
         lost = np.concatenate([[0], np.cumsum(~self.received)])
-        place = np.arange(self.test.samples)
-        low, high = np.maximum(place - edge, 0), np.minimum(place + edge + 1, self.test.samples)
-        inside = (place >= max(edge, self.first)) & (place < self.test.samples - edge)
+        index = np.arange(self.test.samples)
+        low, high = np.maximum(index - edge, 0), np.minimum(index + edge + 1, self.test.samples)
+        inside = (index >= max(edge, self.first)) & (index < self.test.samples - edge)
         return np.asarray(inside & (lost[high] == lost[low]))
 
     @cached_property
@@ -286,21 +286,21 @@ class PreparedTest:
     @cached_property
     def _spectra(self) -> dict[str, tuple[NDArray[np.complex128], Array, int, tuple[float, float]]]:
         """Spectra of the signals, interpolated across gaps, detrended by the line between their ends, and mirrored."""
-        found = {}
-        place = np.arange(self.test.samples)
+        spectra = {}
+        index = np.arange(self.test.samples)
         for name in ("force", "position"):
             values = self.test.signals[name]
-            values = np.interp(place, place[self.received], values[self.received])
+            values = np.interp(index, index[self.received], values[self.received])
             slope = (values[-1] - values[0]) / max(1, values.size - 1)
-            level = values - values[0] - slope * place
+            level = values - values[0] - slope * index
             # An odd extension keeps value and slope continuous at the ends.
             length = fft.next_fast_len(2 * values.size, real=True)
             closed = np.zeros(length)
             closed[: values.size] = level
             closed[length - values.size + 1 :] = -level[:0:-1]
             frequency = fft.rfftfreq(length, 1.0 / self.rate)
-            found[name] = (fft.rfft(closed), frequency, length, (float(values[0]), float(slope)))
-        return found
+            spectra[name] = (fft.rfft(closed), frequency, length, (float(values[0]), float(slope)))
+        return spectra
 
 
 def true_runs(mask: Mask) -> list[tuple[int, int]]:

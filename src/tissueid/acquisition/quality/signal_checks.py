@@ -84,15 +84,15 @@ def check_coherence(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report motion that the force does not explain."""
     if prepared.test.kind not in ("stochastic", "spring") or not prepared.mechanical:
         return
-    found = mean_coherence(prepared)
-    if found is None or found >= MIN_COHERENCE:
+    coherence = mean_coherence(prepared)
+    if coherence is None or coherence >= MIN_COHERENCE:
         return
     yield QualityFinding(
         "incoherent",
         "look",
-        Message("quality.incoherent", prepared.texts.incoherent, percent=100 * found),
+        Message("quality.incoherent", prepared.texts.incoherent, percent=100 * coherence),
         prepared.texts.coherence_advice,
-        found,
+        coherence,
     )
 
 
@@ -150,19 +150,19 @@ def unbalanced_force(prepared: PreparedTest) -> Array:
 
     Removing the stochastic part exposes a line that does not move the probe.
     """
-    known = prepared.known
-    depth = prepared.position - float(np.mean(prepared.position[known]))
-    depth = depth / (float(np.std(depth[known])) or 1.0)
-    velocity = prepared.velocity / (float(np.std(prepared.velocity[known])) or 1.0)
-    inertia = prepared.acceleration / (float(np.std(prepared.acceleration[known])) or 1.0)
+    valid = prepared.known
+    depth = prepared.position - float(np.mean(prepared.position[valid]))
+    depth = depth / (float(np.std(depth[valid])) or 1.0)
+    velocity = prepared.velocity / (float(np.std(prepared.velocity[valid])) or 1.0)
+    inertia = prepared.acceleration / (float(np.std(prepared.acceleration[valid])) or 1.0)
     powers = [depth**power for power in range(1, 5)]
     moving = [velocity * depth**power for power in range(4)]
     columns = np.column_stack(
         [np.ones(depth.size), *powers, *moving, np.abs(velocity), velocity * np.abs(velocity), inertia, inertia * depth]
     )
-    found = np.linalg.lstsq(columns[known], prepared.force[known], rcond=None)[0]
-    rest = prepared.force - columns @ found
-    return np.asarray(rest[known], dtype=np.float64)
+    coefficients = np.linalg.lstsq(columns[valid], prepared.force[valid], rcond=None)[0]
+    rest = prepared.force - columns @ coefficients
+    return np.asarray(rest[valid], dtype=np.float64)
 
 
 def mains_line(values: Array, rate: float, mains_hz: float) -> tuple[float, float]:
@@ -230,18 +230,18 @@ def quick_fit(prepared: PreparedTest) -> QuickFit | None:
     """Fit force = M a + B v + K x + constant to the filtered signals; return None if the fit is not determined."""
     if not prepared.mechanical:
         return None
-    known = prepared.known
+    valid = prepared.known
     columns = np.column_stack(
-        [prepared.acceleration[known], prepared.velocity[known], prepared.position[known], np.ones(known.sum())]
+        [prepared.acceleration[valid], prepared.velocity[valid], prepared.position[valid], np.ones(valid.sum())]
     )
     scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     if not np.all(scale > 0.0):
         return None
     columns /= scale
-    found, _, rank, _ = np.linalg.lstsq(columns, prepared.force[known], rcond=None)
+    coefficients, _, rank, _ = np.linalg.lstsq(columns, prepared.force[valid], rcond=None)
     if rank < scale.size:
         return None
-    mass, damping, stiffness, _ = found / scale
+    mass, damping, stiffness, _ = coefficients / scale
     return QuickFit(float(mass), float(damping), float(stiffness))
 
 
@@ -264,15 +264,15 @@ def tests_with_same_command(test: Test, others: Sequence[Test]) -> list[Test]:
     command = test.signals.get("command")
     if command is None:
         return []
-    found = []
+    repeats = []
     for other in others:
         theirs = other.signals.get("command")
         if theirs is None or theirs.shape != command.shape:
             continue
         there = np.isfinite(command) & np.isfinite(theirs)
         if there.any() and np.max(np.abs(command[there] - theirs[there])) < 1e-6 + 1e-3 * np.ptp(command[there]):
-            found.append(other)
-    return found
+            repeats.append(other)
+    return repeats
 
 
 def check_against_earlier(prepared: PreparedTest, others: Sequence[Test]) -> Iterator[QualityFinding]:
@@ -302,13 +302,13 @@ def _against_repeats(prepared: PreparedTest, repeats: Sequence[Test]) -> Iterato
     shapes = [response - np.nanmean(response) for response in responses]
     mine = float(np.median([_difference(shapes[-1], other) for other in shapes[:-1]])) / spread
     pairs = [
-        _difference(a, b) / spread for place, a in enumerate(shapes[:-1]) for b in shapes[place + 1 : len(repeats)]
+        _difference(a, b) / spread for index, a in enumerate(shapes[:-1]) for b in shapes[index + 1 : len(repeats)]
     ]
     usual = float(np.median(pairs)) if pairs else 0.0
     if mine > max(UNUSUAL_SHARE, UNUSUAL_RATIO * usual):
         percent, count = 100 * mine, len(repeats)
         if not pairs:
-            words = Message(
+            message = Message(
                 "quality.unusual.response",
                 "The response differs by {percent:.0f} % from that of the earlier test with the same command at this "
                 "site.",
@@ -316,7 +316,7 @@ def _against_repeats(prepared: PreparedTest, repeats: Sequence[Test]) -> Iterato
                 count=count,
             )
         else:
-            words = Message(
+            message = Message(
                 "quality.unusual.response",
                 "The response differs by {percent:.0f} % from {count} earlier tests with the same command at this "
                 "site, which differ from each other by {usual:.0f} %.",
@@ -327,7 +327,7 @@ def _against_repeats(prepared: PreparedTest, repeats: Sequence[Test]) -> Iterato
         yield QualityFinding(
             "unusual",
             "repeat" if mine > UNUSUAL_REPEAT_SHARE else "look",
-            words,
+            message,
             prepared.texts.unusual_advice,
             mine,
         )
@@ -400,11 +400,11 @@ def _against_parameters(prepared: PreparedTest, others: Sequence[Test]) -> Itera
         theirs = PreparedTest(other, prepared.device)
         if theirs.mechanical and np.allclose(_load(theirs), load, rtol=0.1, atol=0.2):
             fits.append(quick_fit(theirs))
-    known = [fit for fit in fits if fit is not None]
-    if len(known) < 2:
+    determined = [fit for fit in fits if fit is not None]
+    if len(determined) < 2:
         return
     for name, template in _PARAMETERS.items():
-        values = np.array([getattr(fit, name) for fit in known])
+        values = np.array([getattr(fit, name) for fit in determined])
         middle = float(np.median(values))
         deviation = 1.4826 * float(np.median(np.abs(values - middle)))
         off = abs(getattr(mine, name) - middle)
@@ -412,7 +412,7 @@ def _against_parameters(prepared: PreparedTest, others: Sequence[Test]) -> Itera
             yield QualityFinding(
                 "unusual",
                 "look",
-                Message(f"quality.unusual.{name}", template, percent=100 * off / middle, count=len(known)),
+                Message(f"quality.unusual.{name}", template, percent=100 * off / middle, count=len(determined)),
                 prepared.texts.unusual_advice,
                 off / middle,
             )
