@@ -206,9 +206,9 @@ class AuditLog:
             data += line
 
         if end.leftover:
-            left = end.leftover + CANCEL + b"\n"
+            unfinished = end.leftover + CANCEL + b"\n"
             data += CANCEL + b"\n"
-            add(CLOSED_OFF, new={"bytes": len(left), "sha256": hashlib.sha256(left).hexdigest()})
+            add(CLOSED_OFF, new={"bytes": len(unfinished), "sha256": hashlib.sha256(unfinished).hexdigest()})
         if last is None or (last.what == CLOSED_OFF and last.number == 1):
             add(STARTED, new={"format": FORMAT, "format_version": FORMAT_VERSION})
         if missing:

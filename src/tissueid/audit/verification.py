@@ -157,31 +157,31 @@ def _hashes_of(logs: Sequence[Path], cancelled: Callable[[], object]) -> set[str
     return hashes
 
 
-def _not_in(walk: _Walk, known: set[str]) -> Broken | None:
+def _not_in(walk: _Walk, earlier_hashes: set[str]) -> Broken | None:
     """Return the first line that reports missing lines which no earlier log contains."""
-    for place, number, own in walk.missing:
-        if own not in known:
+    for position, number, own in walk.missing:
+        if own not in earlier_hashes:
             name_file = Action(
                 "audit.after", "tissueid audit verify --after FILE", marked("verify in the shell with --after FILE")
             )
             if number is None:
-                words = Message(
+                message = Message(
                     "audit.lines_missing",
                     "line {place} reports that earlier lines of the log are missing: the log was emptied, cut off or "
                     "removed. If it was moved, name the file: {action}",
-                    place=place,
+                    place=position,
                     action=name_file,
                 )
             else:
-                words = Message(
+                message = Message(
                     "audit.lines_missing",
                     "line {place} reports that lines up to {number} of the log are missing: the log was emptied, cut "
                     "off or removed. If it was moved, name the file: {action}",
-                    place=place,
+                    place=position,
                     number=number,
                     action=name_file,
                 )
-            return Broken(place, LogDamage.CUT, words)
+            return Broken(position, LogDamage.CUT, message)
     return None
 
 
@@ -189,29 +189,29 @@ def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
     """Return the damage of a log that does not contain the head from ``where``."""
     lines = 0 if walk.last is None else walk.last.number
     if number is None:
-        words = Message(
+        message = Message(
             "audit.cut_off",
             "{where} was written with a later line, and the log ends with line {lines}: its end was cut off",
             where=where,
             lines=lines,
         )
-        return Broken(lines + 1, LogDamage.CUT, words)
+        return Broken(lines + 1, LogDamage.CUT, message)
     if number <= lines:
-        words = Message(
+        message = Message(
             "audit.other_log",
             "{where} was written when line {number} had another hash: this is another log, or a new one",
             where=where,
             number=number,
         )
-        return Broken(number, LogDamage.FOREIGN, words)
-    words = Message(
+        return Broken(number, LogDamage.FOREIGN, message)
+    message = Message(
         "audit.cut_off",
         "{where} was written when the log had line {number}, and it ends with line {lines}: its end was cut off",
         where=where,
         number=number,
         lines=lines,
     )
-    return Broken(lines + 1, LogDamage.CUT, words)
+    return Broken(lines + 1, LogDamage.CUT, message)
 
 
 class _Walk:
@@ -264,15 +264,15 @@ class _Walk:
         if line.number != number or line.previous != before:
             return self._damage(raw, number, line)
         if self._torn:
-            left = {"bytes": len(self._torn), "sha256": hashlib.sha256(self._torn).hexdigest()}
-            if line.what != CLOSED_OFF or line.new != left:
-                words = Message(
+            expected = {"bytes": len(self._torn), "sha256": hashlib.sha256(self._torn).hexdigest()}
+            if line.what != CLOSED_OFF or line.new != expected:
+                message = Message(
                     "audit.foreign_bytes",
                     "{count} bytes before line {line} are not a line, and that line does not account for them",
                     count=len(self._torn),
                     line=number,
                 )
-                return Broken(self._place - 1, LogDamage.INSERTED, words)
+                return Broken(self._place - 1, LogDamage.INSERTED, message)
             self.remarks.append(
                 Message(
                     "audit.closed_off", "before line {line} a line was left unfinished, and closed off", line=number
@@ -307,68 +307,68 @@ class _Walk:
 
     def _damage(self, raw: bytes, number: int, line: LogLine | None) -> Broken:
         """Return the damage where ``raw`` stands in place of line ``number``; ``line`` is None if its hash is wrong."""
-        place = self._place
-        later = {item.number: item for item in self._after(place)}
+        position = self._place
+        later = {item.number: item for item in self._after(position)}
         if line is None:
             return self._without_hash(raw, number, later)
         if line.hash in self.hashes:
-            words = Message(
+            message = Message(
                 "audit.copy",
                 "a copy of line {copied} is in the place of line {line}",
                 copied=line.number,
                 line=number,
             )
-            return Broken(place, LogDamage.INSERTED, words)
+            return Broken(position, LogDamage.INSERTED, message)
         if line.number > number:
             if number in later:
-                words = Message(
+                message = Message(
                     "audit.reordered",
                     "line {found} is in the place of line {line}, which comes later",
                     found=line.number,
                     line=number,
                 )
-                return Broken(place, LogDamage.REORDERED, words)
+                return Broken(position, LogDamage.REORDERED, message)
             if line.number == number + 1:
-                words = Message("audit.removed", "line {line} is missing", line=number)
+                message = Message("audit.removed", "line {line} is missing", line=number)
             else:
-                words = Message(
+                message = Message(
                     "audit.removed", "lines {line} to {last} are missing", line=number, last=line.number - 1
                 )
-            return Broken(place, LogDamage.REMOVED, words)
+            return Broken(position, LogDamage.REMOVED, message)
         if line.number < number:
-            words = Message(
+            message = Message(
                 "audit.twice", "two lines have number {line}: one of them is not part of the log", line=line.number
             )
-            return Broken(place - 1, LogDamage.INSERTED, words)
-        words = Message(
+            return Broken(position - 1, LogDamage.INSERTED, message)
+        message = Message(
             "audit.exchanged",
             "line {line} does not continue the line before it: one of the two was replaced",
             line=number,
         )
-        return Broken(max(1, place - 1), LogDamage.CHANGED, words)
+        return Broken(max(1, position - 1), LogDamage.CHANGED, message)
 
     def _without_hash(self, raw: bytes, number: int, later: dict[int, LogLine]) -> Broken:
         """Return the damage where the bytes in place of line ``number`` do not have a correct hash."""
-        place = self._place
+        position = self._place
         following = later.get(number)
         before = NOTHING_BEFORE if self.last is None else self.last.hash
         if following is not None and following.previous == before:
-            words = Message("audit.inserted", "the text before line {line} is not part of the log", line=number)
-            return Broken(place, LogDamage.INSERTED, words)
+            message = Message("audit.inserted", "the text before line {line} is not part of the log", line=number)
+            return Broken(position, LogDamage.INSERTED, message)
         if number == 1 and not later:
             return Broken(
                 1, LogDamage.FOREIGN, Message("audit.foreign", "it does not begin with a line of an audit log")
             )
         if not raw.endswith(b"\n") and b'"hash"' not in raw:
-            words = Message("audit.cut_short", "line {line} was cut short: its hash is missing", line=number)
+            message = Message("audit.cut_short", "line {line} was cut short: its hash is missing", line=number)
         else:
-            words = Message("audit.changed", "line {line} was changed: its hash is wrong", line=number)
-        return Broken(place, LogDamage.CHANGED, words)
+            message = Message("audit.changed", "line {line} was changed: its hash is wrong", line=number)
+        return Broken(position, LogDamage.CHANGED, message)
 
-    def _after(self, place: int) -> Iterator[LogLine]:
+    def _after(self, position: int) -> Iterator[LogLine]:
         """Yield the lines with a correct hash after a place."""
         for count, raw in enumerate(_raw_lines(self._path), start=1):
-            if count > place and (line := read_line(raw.removesuffix(b"\n"))) is not None:
+            if count > position and (line := read_line(raw.removesuffix(b"\n"))) is not None:
                 yield line
 
 
@@ -382,17 +382,17 @@ def _raw_lines(path: Path) -> Iterator[bytes]:
         UnusableInputError: the file is too large.
     """
     with open_regular(path) as file:
-        left = os.fstat(file.fileno()).st_size
-        if left > MAX_BYTES:
+        remaining = os.fstat(file.fileno()).st_size
+        if remaining > MAX_BYTES:
             raise UnusableInputError(
                 "audit.too_large",
                 "{path} has {size:.0f} MB; at most {most:.0f} MB are read",
                 path=str(path),
-                size=left / 1e6,
+                size=remaining / 1e6,
                 most=MAX_BYTES / 1e6,
             )
-        while raw := file.readline(min(MAX_LINE, left)):
-            left -= len(raw)
+        while raw := file.readline(min(MAX_LINE, remaining)):
+            remaining -= len(raw)
             yield raw
 
 
