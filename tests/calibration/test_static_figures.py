@@ -171,7 +171,7 @@ def test_with_weights_the_weights_are_checked_and_not_the_spring():
     series = [held(), held(shift_m=0.05 * GRAVITY_M_S2 / 1000.0), held(shift_m=0.1 * GRAVITY_M_S2 / 1000.0)]
     spring = Spring(1400.0, 0.02)
     assert force_by_spring(series[0], DEVICE, spring, None, 0.0).problems
-    found = force_by_spring(series[0], DEVICE, spring, None, 0.0, known=False)
+    found = force_by_spring(series[0], DEVICE, spring, None, 0.0, check_nominal=False)
     found += force_by_weights(series, (0.0, 0.05, 0.1), DEVICE, 1.0, 0.0)
     assert found.problems == ()
     assert found.value("force_constant_n_per_a") == pytest.approx(3.0)

@@ -52,9 +52,9 @@ class UsedCalibration:
         return self.calibration.made
 
 
-def number_or_default(known: Mapping[str, float | str], name: str | None, default: float) -> float:
+def number_or_default(values: Mapping[str, float | str], name: str | None, default: float) -> float:
     """Return the finite number stored under a name, or ``default``."""
-    value = default if name is None else known.get(name, default)
+    value = default if name is None else values.get(name, default)
     return float(value) if isinstance(value, int | float) and np.isfinite(value) else default
 
 
@@ -75,63 +75,65 @@ def merge_calibrations(
     if not statics and not sweeps:
         refused: dict[str, float | str] = {"state": "none", "verdict": "none", **warning_entries(warnings)}
         return replace(nominal, calibration=refused) if warnings else nominal
-    known: dict[str, float | str] = {"state": "valid", "verdict": "passed"}
-    found = _sources(statics)
+    merged: dict[str, float | str] = {"state": "valid", "verdict": "passed"}
+    sources = _sources(statics)
     # The main static calibration is the oldest source of a required quantity.
-    giving = [found[name] for name in REQUIRED_QUANTITIES if name in found]
+    giving = [sources[name] for name in REQUIRED_QUANTITIES if name in sources]
     base = min(giving, key=lambda item: item.made, default=next(iter(statics), None))
     for item in sweeps:
-        known |= {"sweep_file": item.file, "sweep_date": item.calibration.date}
+        merged |= {"sweep_file": item.file, "sweep_date": item.calibration.date}
         for name in _effective_quantities(item.calibration):
-            found.setdefault(name, item)
+            sources.setdefault(name, item)
         if (profile := _force_profile(item.calibration)) is not None:
-            known[PROFILE] = profile
+            merged[PROFILE] = profile
     if base is not None:
-        known |= {"static_file": base.file, "static_date": base.calibration.date}
-        warnings += _completion_warnings(base, found)
+        merged |= {"static_file": base.file, "static_date": base.calibration.date}
+        warnings += _completion_warnings(base, sources)
     used = [*([base] if base is not None else []), *sweeps]
     if used:
         due = min(item.made + timedelta(days=item.calibration.valid_days) for item in used)
-        known["valid_until"] = due.strftime("%Y-%m-%d")
+        merged["valid_until"] = due.strftime("%Y-%m-%d")
     for item in used:
         if item.state == "stale":
-            known["state"] = "stale"
+            merged["state"] = "stale"
             warnings.append(file_warning(item.file, item.words))
-    for name, item in found.items():
+    for name, item in sources.items():
         figure = item.calibration.quantities[name]
-        known[name] = figure.value
+        merged[name] = figure.value
         if name in DEVICE_TOLERANCES:
-            known[f"nominal_{name}"] = getattr(nominal, name)
+            merged[f"nominal_{name}"] = getattr(nominal, name)
             if figure.std is not None:
-                known[f"{name}_std"] = figure.std
-    warnings += _disagreement_warnings(found, sweeps, known)
-    if "linear_region_min_m" not in known:
+                merged[f"{name}_std"] = figure.std
+    warnings += _disagreement_warnings(sources, sweeps, merged)
+    if "linear_region_min_m" not in merged:
         warnings.append(NO_REGION)
     if base is None:
         warnings.append(
             Message("calibration.no_static", "there is no static calibration: run {action}", action=CALIBRATE_STATIC)
         )
     if warnings:
-        known |= warning_entries(warnings)
-    uncertainty = number_or_default(known, "calibration_relative_uncertainty", nominal.calibration_relative_uncertainty)
+        merged |= warning_entries(warnings)
+    uncertainty = number_or_default(
+        merged, "calibration_relative_uncertainty", nominal.calibration_relative_uncertainty
+    )
     return replace(
         nominal,
-        coil_resistance_ohm=number_or_default(known, "coil_resistance_ohm", nominal.coil_resistance_ohm),
-        coil_inductance_h=number_or_default(known, "coil_inductance_h", nominal.coil_inductance_h),
-        force_constant_n_per_a=number_or_default(known, "force_constant_n_per_a", nominal.force_constant_n_per_a),
-        moving_mass_kg=number_or_default(known, "moving_mass_kg", nominal.moving_mass_kg),
+        coil_resistance_ohm=number_or_default(merged, "coil_resistance_ohm", nominal.coil_resistance_ohm),
+        coil_inductance_h=number_or_default(merged, "coil_inductance_h", nominal.coil_inductance_h),
+        force_constant_n_per_a=number_or_default(merged, "force_constant_n_per_a", nominal.force_constant_n_per_a),
+        moving_mass_kg=number_or_default(merged, "moving_mass_kg", nominal.moving_mass_kg),
         bearing_damping_n_s_per_m=number_or_default(
-            known, "bearing_damping_n_s_per_m", nominal.bearing_damping_n_s_per_m
+            merged, "bearing_damping_n_s_per_m", nominal.bearing_damping_n_s_per_m
         ),
-        amplifier_gain=number_or_default(known, "voltage_gain", nominal.amplifier_gain),
+        amplifier_gain=number_or_default(merged, "voltage_gain", nominal.amplifier_gain),
         calibration_relative_uncertainty=uncertainty,
-        calibration=known,
+        calibration=merged,
     )
 
 
-def file_warning(file: str, words: str) -> Message:
+def file_warning(file: str, warning: str) -> Message:
     """Return a warning about a calibration file."""
-    return Message("calibration.about", "{file}: {warning}", file=file, warning=words)
+    return Message("calibration.about", "{file}: {warning}", file=file, warning=warning)
 
 
 def _effective_quantities(calibration: Calibration) -> tuple[str, ...]:
@@ -154,21 +156,21 @@ def _force_profile(calibration: Calibration) -> str | None:
 
 def _sources(statics: Sequence[UsedCalibration]) -> dict[str, UsedCalibration]:
     """Return the source of each quantity: the newest valid calibration that contains it, else the newest stale one."""
-    found: dict[str, UsedCalibration] = {}
+    sources: dict[str, UsedCalibration] = {}
     for item in sorted(statics, key=lambda item: item.state == "stale"):
         for name in _effective_quantities(item.calibration):
-            found.setdefault(name, item)
-    return found
+            sources.setdefault(name, item)
+    return sources
 
 
-def _completion_warnings(base: UsedCalibration, found: Mapping[str, UsedCalibration]) -> list[str]:
+def _completion_warnings(base: UsedCalibration, sources: Mapping[str, UsedCalibration]) -> list[str]:
     """Return warnings about quantities that come from other static calibrations than the main one, or from none."""
     lines: list[str] = []
-    files = {item.file: item for item in found.values() if item.calibration.kind == "static"}
+    files = {item.file: item for item in sources.values() if item.calibration.kind == "static"}
     if len(files) > 1:
         newest = max(files.values(), key=lambda item: (item.made, item.file))
         for item in files.values():
-            names = Listing(tuple(label_of(name) for name, source in found.items() if source is item))
+            names = Listing(tuple(label_of(name) for name, source in sources.items() if source is item))
             if item is newest:
                 continue
             values = {"file": newest.file, "names": names, "other": item.file}
@@ -185,7 +187,7 @@ def _completion_warnings(base: UsedCalibration, found: Mapping[str, UsedCalibrat
                 lines.append(
                     Message("calibration.completed", "{file} is not complete. Taken from {other}: {names}", **values)
                 )
-    if missing := [label_of(name) for name in REQUIRED_QUANTITIES if name not in found]:
+    if missing := [label_of(name) for name in REQUIRED_QUANTITIES if name not in sources]:
         lines.append(
             Message(
                 "calibration.nominal_used",
@@ -198,13 +200,13 @@ def _completion_warnings(base: UsedCalibration, found: Mapping[str, UsedCalibrat
 
 
 def _disagreement_warnings(
-    found: Mapping[str, UsedCalibration], sweeps: Sequence[UsedCalibration], known: Mapping[str, float | str]
+    sources: Mapping[str, UsedCalibration], sweeps: Sequence[UsedCalibration], merged: Mapping[str, float | str]
 ) -> list[str]:
     """Return warnings about a sweep that disagrees with the active static calibration, or was made with another."""
     lines: list[str] = []
     for item in sweeps:
         swept = item.calibration.quantities.get("force_constant_n_per_a")
-        static = found.get("force_constant_n_per_a")
+        static = sources.get("force_constant_n_per_a")
         if swept is not None and static is not None and static is not item:
             value = static.calibration.quantities["force_constant_n_per_a"].value
             if abs(swept.value / value - 1.0) > MAX_DISAGREEMENT:
@@ -218,7 +220,7 @@ def _disagreement_warnings(
                     )
                 )
         made_under = item.calibration.conditions
-        off_m = _shift_m(made_under, known)
+        off_m = _shift_m(made_under, merged)
         if off_m > MAX_SHIFT_M:
             lines.append(
                 Message(
@@ -243,18 +245,18 @@ def _disagreement_warnings(
     return lines
 
 
-def _shift_m(made_under: Mapping[str, float | str], known: Mapping[str, float | str]) -> float:
+def _shift_m(made_under: Mapping[str, float | str], active: Mapping[str, float | str]) -> float:
     """Return the shift of the ends of a linear region since the sweep, m; NaN if unknown."""
     date = made_under.get("static_date")
     if date is not None and not any(name in made_under for name in POSITION_QUANTITIES):
-        return 0.0 if date == known.get("static_date") else float("nan")
-    ends = [number_or_default(known, f"linear_region_{end}_m", np.nan) for end in ("min", "max")]
+        return 0.0 if date == active.get("static_date") else float("nan")
+    ends = [number_or_default(active, f"linear_region_{end}_m", np.nan) for end in ("min", "max")]
     readings = np.array([end for end in ends if np.isfinite(end)])
     if not readings.size:
         return 0.0
     (gain, offset), (gain_now, offset_now) = (
         [number_or_default(scale, name, default) for name, default in zip(POSITION_QUANTITIES, (1.0, 0.0), strict=True)]
-        for scale in (made_under, known)
+        for scale in (made_under, active)
     )
     readings = readings * gain + offset
     return float(np.abs((readings - offset_now) / gain_now - (readings - offset) / gain).max())
@@ -331,19 +333,21 @@ def use_static_calibration(
         for item in stored_calibrations(calibration_folder(folder))
         if item.calibration is not None and item.calibration.kind == "static"
     ]
-    known = apply_calibrations(nominal, stored, now or datetime.now(UTC))
-    kept = {name: value for name, value in known.calibration.items() if not name.endswith(_EXCLUDED_FROM_SWEEP)}
-    if warnings := [line for line in known.calibration_warnings if line != NO_REGION]:
+    calibrated = apply_calibrations(nominal, stored, now or datetime.now(UTC))
+    kept = {name: value for name, value in calibrated.calibration.items() if not name.endswith(_EXCLUDED_FROM_SWEEP)}
+    if warnings := [line for line in calibrated.calibration_warnings if line != NO_REGION]:
         kept |= warning_entries(warnings)
-    device = replace(nominal, coil_resistance_ohm=known.coil_resistance_ohm, calibration=kept)
+    device = replace(nominal, coil_resistance_ohm=calibrated.coil_resistance_ohm, calibration=kept)
     instrument.use_calibration(device, corrections(device))
     return static_conditions(device)
 
 
 def static_conditions(device: DeviceDescription) -> dict[str, float | str]:
     """Return file, date and position scale of the static calibration in a device description."""
-    known = device.calibration
-    return {name: known[name] for name in ("static_file", "static_date", *POSITION_QUANTITIES) if name in known}
+    calibration = device.calibration
+    return {
+        name: calibration[name] for name in ("static_file", "static_date", *POSITION_QUANTITIES) if name in calibration
+    }
 
 
 def apply_calibrations(nominal: DeviceDescription, stored: Sequence[Stored], now: datetime) -> DeviceDescription:
@@ -382,21 +386,21 @@ def apply_calibrations(nominal: DeviceDescription, stored: Sequence[Stored], now
         elif not before:
             refused = refused or calibration.kind == "static"
             warnings.append(file_warning(item.path.name, reason))
-    found = merge_calibrations(nominal, used["static"], used["sweep"][:1], warnings)
+    calibrated = merge_calibrations(nominal, used["static"], used["sweep"][:1], warnings)
     if refused and not used["static"] and used["sweep"]:
-        found = replace(found, calibration=found.calibration | {"static_state": "refused"})
-    return found
+        calibrated = replace(calibrated, calibration=calibrated.calibration | {"static_state": "refused"})
+    return calibrated
 
 
 def corrections(device: DeviceDescription) -> dict[str, Correction]:
     """Return the correction of each recorded channel from the calibration in a device description."""
-    known = device.calibration
-    found: dict[str, Correction] = {}
+    calibration = device.calibration
+    by_channel: dict[str, Correction] = {}
     for channel, (gain, offset) in _CHANNELS.items():
-        correction = Correction(number_or_default(known, gain, 1.0), number_or_default(known, offset, 0.0))
+        correction = Correction(number_or_default(calibration, gain, 1.0), number_or_default(calibration, offset, 0.0))
         if correction != Correction():
-            found[channel] = correction
-    return found
+            by_channel[channel] = correction
+    return by_channel
 
 
 def _age(date: str, now: datetime) -> Message:
@@ -417,34 +421,34 @@ def calibration_summary(device: DeviceDescription, now: datetime | None = None) 
     Example: "calibrated 12 days ago, linear 4.0 to 27.5 mm". With only a sweep active, the summary names the
     source of the force constant.
     """
-    known = device.calibration
-    dates = [str(known[name]) for name in ("static_date", "sweep_date") if known.get(name)]
+    calibration = device.calibration
+    dates = [str(calibration[name]) for name in ("static_date", "sweep_date") if calibration.get(name)]
     if not dates:
         return NOT_CALIBRATED
-    words = _force_source(device, _age(min(dates), now or datetime.now(UTC)))
-    if known.get("state") == "stale":
-        words = Message("calibration.summary.stale", "calibration is stale: {words}", words=words)
-    low, high = known.get("linear_region_min_m"), known.get("linear_region_max_m")
+    summary = _force_source(device, _age(min(dates), now or datetime.now(UTC)))
+    if calibration.get("state") == "stale":
+        summary = Message("calibration.summary.stale", "calibration is stale: {words}", words=summary)
+    low, high = calibration.get("linear_region_min_m"), calibration.get("linear_region_max_m")
     if isinstance(low, float) and isinstance(high, float):
         return Message(
             "calibration.summary.linear",
             "{words}, linear {low:.1f} to {high}",
-            words=words,
+            words=summary,
             low=1e3 * low,
             high=Quantity(1e3 * high, "mm", 1),
         )
-    return Message("calibration.summary.no_region", "{words}, linear region not known", words=words)
+    return Message("calibration.summary.no_region", "{words}, linear region not known", words=summary)
 
 
 def _force_source(device: DeviceDescription, age: Message) -> Message:
-    known = device.calibration
-    if known.get("static_date"):
+    calibration = device.calibration
+    if calibration.get("static_date"):
         return Message("calibration.summary.static", "calibrated {age}", age=age)
-    if "force_constant_n_per_a" in known:
+    if "force_constant_n_per_a" in calibration:
         force = Message("calibration.force.sweep", "force by the sweep")
     else:
         force = Message("calibration.force.nominal", "nominal force")
-    if known.get("static_state") == "refused":
+    if calibration.get("static_state") == "refused":
         return Message(
             "calibration.summary.refused", "static calibration refused: {force}, sweep of {age}", force=force, age=age
         )

@@ -125,7 +125,7 @@ def force_by_spring(
     position_gain: Estimate | None,
     zero_a: float,
     *,
-    known: bool = True,
+    check_nominal: bool = True,
 ) -> CalibrationFindings:
     """Return the force constant, N per ampere reading, from the line of position against current with a spring.
 
@@ -139,7 +139,7 @@ def force_by_spring(
         spring: known spring.
         position_gain: gain of the position channel; None if not calibrated.
         zero_a: offset of the current channel, A.
-        known: False if the spring only holds the probe; the force constant is then not checked.
+        check_nominal: False if the spring only holds the probe; the force constant is then not checked.
 
     Raises:
         UnusableInputError: the levels do not lie on a line.
@@ -154,7 +154,7 @@ def force_by_spring(
     swing = float(np.ptp(levels.position_m))
     problems = [
         *_line_problems(line, levels.position_m, _SPRING_LINE),
-        *(_nominal_problem(_FORCE, value, device.force_constant_n_per_a, "N/A") if known else ()),
+        *(_nominal_problem(_FORCE, value, device.force_constant_n_per_a, "N/A") if check_nominal else ()),
     ]
     if hysteresis > MAX_HYSTERESIS * swing:
         problems.append(
@@ -217,7 +217,7 @@ def force_by_weights(
         raise UnusableInputError(
             "calibration.not_upright", "known weights need a vertical stroke: place the instrument upright"
         )
-    lines = [spring_line(one, zero_a) for one in series]
+    lines = [spring_line(levels, zero_a) for levels in series]
     slope = float(np.mean([line.slope.value for line in lines]))
     carried = np.array([(line.intercept.value - lines[0].intercept.value) / slope for line in lines])  # A
     newtons = np.asarray(weights_kg) * GRAVITY_M_S2 * along
@@ -264,9 +264,9 @@ def _hysteresis(levels: Levels) -> float:
 def _line_problems(line: StraightLine, values: NDArray[np.float64], what: str) -> list[str]:
     """Return the problems of a line fit: nonlinearity and too many outliers."""
     share = line.worst / float(np.ptp(values)) if np.ptp(values) else 0.0
-    found: list[str] = []
+    problems: list[str] = []
     if share > MAX_NONLINEARITY:
-        found.append(
+        problems.append(
             Message(
                 "calibration.bent",
                 "{line} is not a straight line: the largest deviation is {share} of its span",
@@ -275,7 +275,7 @@ def _line_problems(line: StraightLine, values: NDArray[np.float64], what: str) -
             )
         )
     if np.mean(line.outliers) > MAX_OUTLIERS:
-        found.append(
+        problems.append(
             Message(
                 "calibration.outliers",
                 "{line}: {count} of {points} points lie off the line",
@@ -284,7 +284,7 @@ def _line_problems(line: StraightLine, values: NDArray[np.float64], what: str) -
                 points=line.outliers.size,
             )
         )
-    return found
+    return problems
 
 
 def _clipping_problem(gain: StraightLine, levels: Levels) -> list[str]:

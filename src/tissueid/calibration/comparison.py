@@ -137,46 +137,48 @@ class CalibrationComparison:
     @property
     def words(self) -> Message:
         """Change of the force constant as a sentence."""
-        found = next((item for item in self.differences if item.name == "force_constant_n_per_a"), None)
-        if found is None:
+        difference = next((item for item in self.differences if item.name == "force_constant_n_per_a"), None)
+        if difference is None:
             return Message("drift.no_force_constant", "One of the two sweeps contains no force constant.")
-        return drift_text(found, self.before.date[:10])
+        return drift_text(difference, self.before.date[:10])
 
 
-def drift_text(found: CalibrationDifference, date: str) -> Message:
+def drift_text(difference: CalibrationDifference, date: str) -> Message:
     """Return a difference as a sentence: its size, the earlier date, and its significance."""
-    if math.isnan(found.relative):
-        scale, unit = (1e3, "mm") if found.before.unit == "m" else (1.0, found.before.unit)
-        size, decimals = scale * abs(found.absolute), 2
-        known = None if found.uncertainty is None else scale * SIGNIFICANT_STD * found.uncertainty
+    if math.isnan(difference.relative):
+        scale, unit = (1e3, "mm") if difference.before.unit == "m" else (1.0, difference.before.unit)
+        size, decimals = scale * abs(difference.absolute), 2
+        threshold = None if difference.uncertainty is None else scale * SIGNIFICANT_STD * difference.uncertainty
     else:
-        size, unit = 100.0 * abs(found.relative), "%"
-        known = (
-            None if found.uncertainty is None else 100.0 * SIGNIFICANT_STD * found.uncertainty / abs(found.before.value)
+        size, unit = 100.0 * abs(difference.relative), "%"
+        threshold = (
+            None
+            if difference.uncertainty is None
+            else 100.0 * SIGNIFICANT_STD * difference.uncertainty / abs(difference.before.value)
         )
-        decimals = 2 if known is not None and fixed(size, 1) == fixed(known, 1) else 1
-    label = label_of(found.name)
+        decimals = 2 if threshold is not None and fixed(size, 1) == fixed(threshold, 1) else 1
+    label = label_of(difference.name)
     if not any(digit in fixed(size, decimals) for digit in "123456789"):
         return Message("drift.none", "{quantity}: the same as on {date}.", quantity=label, date=date)
-    limit = ShownQuantity(math.nan if known is None else known, unit, decimals)
+    limit = ShownQuantity(math.nan if threshold is None else threshold, unit, decimals)
     values = {
         "quantity": label,
         "difference": ShownQuantity(size, unit, decimals),
         "date": date,
-        "significance": _significance(found.verdict, limit),
+        "significance": _significance(difference.verdict, limit),
     }
-    if found.absolute > 0:
+    if difference.absolute > 0:
         return Message("drift.higher", "{quantity}: {difference} higher than on {date}, {significance}.", **values)
     return Message("drift.lower", "{quantity}: {difference} lower than on {date}, {significance}.", **values)
 
 
-def _significance(verdict: Verdict, known: ShownQuantity) -> Message:
+def _significance(verdict: Verdict, uncertainty: ShownQuantity) -> Message:
     if verdict == "noise":
         return Message("drift.noise", "within the noise of both")
     if verdict == "uncertainty":
-        return Message("drift.uncertainty", "within the uncertainty of ±{uncertainty}", uncertainty=known)
+        return Message("drift.uncertainty", "within the uncertainty of ±{uncertainty}", uncertainty=uncertainty)
     if verdict == "beyond":
-        return Message("drift.beyond", "beyond the uncertainty of ±{uncertainty}", uncertainty=known)
+        return Message("drift.beyond", "beyond the uncertainty of ±{uncertainty}", uncertainty=uncertainty)
     return Message("drift.unknown", "with unknown uncertainty")
 
 
@@ -186,13 +188,13 @@ def profile_of(calibration: Calibration, name: str) -> Profile | None:
     columns = calibration.tables.get(table, {})
     if not columns.get("position_m") or values not in columns:
         return None
-    place, value = np.array(columns["position_m"]), np.array(columns[values])
+    position, value = np.array(columns["position_m"]), np.array(columns[values])
     std = np.abs(np.array(columns[stds])) if stds in columns else None
-    kept = (np.abs(place) < _MAX_VALUE) & (np.abs(value) < _MAX_VALUE)
-    order = np.flatnonzero(kept)[np.argsort(place[kept], kind="stable")]
+    kept = (np.abs(position) < _MAX_VALUE) & (np.abs(value) < _MAX_VALUE)
+    order = np.flatnonzero(kept)[np.argsort(position[kept], kind="stable")]
     if order.size < 2:
         return None
-    return Profile(place[order], value[order], None if std is None else np.minimum(std[order], _MAX_VALUE))
+    return Profile(position[order], value[order], None if std is None else np.minimum(std[order], _MAX_VALUE))
 
 
 def linear_region(calibration: Calibration) -> tuple[float, float] | None:
@@ -212,15 +214,15 @@ def compare_sweeps(first: Calibration, second: Calibration) -> CalibrationCompar
     if {first.kind, second.kind} != {"sweep"}:
         raise UnusableInputError("drift.not_sweeps", "only sweeps can be compared along the stroke: choose two sweeps")
     before, now = sorted((first, second), key=lambda item: item.made)
-    found = []
+    differences = []
     for name in COMPARED_QUANTITIES:
         was, is_now = before.quantities.get(name), now.quantities.get(name)
         if was is not None and is_now is not None and max(abs(was.value), abs(is_now.value)) < _MAX_VALUE:
             noise = _joint_std(_calibration_noise(name, before), _calibration_noise(name, now))
-            found.append(CalibrationDifference(name, was, is_now, noise, _joint_std(was.std, is_now.std)))
+            differences.append(CalibrationDifference(name, was, is_now, noise, _joint_std(was.std, is_now.std)))
     common, mean, largest, where = _profile_difference(before, now)
     remarks = tuple(_remarks(before, now))
-    return CalibrationComparison(before, now, tuple(found), common, mean, largest, where, remarks)
+    return CalibrationComparison(before, now, tuple(differences), common, mean, largest, where, remarks)
 
 
 def _joint_std(first: float | None, second: float | None) -> float | None:
@@ -253,16 +255,16 @@ def _profile_difference(
     """
     nothing = (None, math.nan, math.nan, math.nan)
     regions = linear_region(before), linear_region(now)
-    one, other = profile_of(before, "force_constant"), profile_of(now, "force_constant")
+    profile_before, profile_now = profile_of(before, "force_constant"), profile_of(now, "force_constant")
     if regions[0] is None or regions[1] is None:
         return nothing
     common = max(regions[0][0], regions[1][0]), min(regions[0][1], regions[1][1])
     if common[0] >= common[1]:
         return nothing
-    if one is None or other is None:
+    if profile_before is None or profile_now is None:
         return common, math.nan, math.nan, math.nan
     grid = np.linspace(*common, _GRID)
-    base, share = one.at(grid), other.at(grid)
+    base, share = profile_before.at(grid), profile_now.at(grid)
     good = np.isfinite(base) & np.isfinite(share) & (np.abs(base) > 0.0)
     if not good.any():
         return common, math.nan, math.nan, math.nan
@@ -315,7 +317,7 @@ class Residuals:
 
 def residuals(calibration: Calibration) -> tuple[Residuals, ...]:
     """Return the residuals in a static calibration; malformed tables are left out."""
-    found = []
+    result = []
     for table, (across, x_name, x_unit), (along, y_name, y_unit), off, label in _RESIDUALS:
         columns = calibration.tables.get(table, {})
         x, y = np.array(columns.get(across, ())), np.array(columns.get(off, ()))
@@ -323,7 +325,7 @@ def residuals(calibration: Calibration) -> tuple[Residuals, ...]:
             continue
         kept = (np.abs(x) < _MAX_VALUE) & (np.abs(y) < _MAX_VALUE)
         reading, outlier = np.array(columns.get(along, ())), np.array(columns.get("outlier", ())) > 0.0
-        found.append(
+        result.append(
             Residuals(
                 label,
                 x[kept],
@@ -336,7 +338,7 @@ def residuals(calibration: Calibration) -> tuple[Residuals, ...]:
                 table,
             )
         )
-    return tuple(found)
+    return tuple(result)
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,8 +78,8 @@ class Calibration(BaseModel):
     @classmethod
     def _valid_messages(cls, given: object) -> tuple[dict[str, Any], ...]:
         """Keep the entries that are messages and can be stored as TOML."""
-        found = [message_from(item) for item in given[:_MAX_MESSAGES]] if isinstance(given, list | tuple) else []
-        return stored_messages(found)
+        messages = [message_from(item) for item in given[:_MAX_MESSAGES]] if isinstance(given, list | tuple) else []
+        return stored_messages(messages)
 
     @field_validator("date")
     @classmethod
@@ -313,9 +313,9 @@ def quantity(estimate: Estimate | float, unit: str, std: float | None = None) ->
 
     Standard deviations of an inverted channel, scaled by a negative value, are made positive.
     """
-    found = estimate if isinstance(estimate, Estimate) else Estimate(estimate, std)
-    known = None if found.std is None or not np.isfinite(found.std) else abs(float(found.std))
-    return CalibratedQuantity(value=float(found.value), std=known, unit=unit)
+    measured = estimate if isinstance(estimate, Estimate) else Estimate(estimate, std)
+    stored_std = None if measured.std is None or not np.isfinite(measured.std) else abs(float(measured.std))
+    return CalibratedQuantity(value=float(measured.value), std=stored_std, unit=unit)
 
 
 def column(values: ArrayLike) -> tuple[float, ...]:

@@ -129,9 +129,9 @@ def without_filter(readings: Array, rate: float) -> Array:
 
     NaN where the reading or the previous one was not received.
     """
-    left = float(np.exp(-1.0 / (rate * FILTER_S)))  # of a step, after one interval
+    remaining = float(np.exp(-1.0 / (rate * FILTER_S)))  # of a step, after one interval
     before = np.concatenate([[np.nan], readings[:-1]])
-    return np.asarray((readings - left * before) / (1.0 - left))
+    return np.asarray((readings - remaining * before) / (1.0 - remaining))
 
 
 def fit_time_constant(responses: Sequence[Array], rate: float) -> TimeConstant:
@@ -139,17 +139,17 @@ def fit_time_constant(responses: Sequence[Array], rate: float) -> TimeConstant:
     steps = np.array([answer / answer.sum() for answer in responses])  # (tests, lags)
     mean, lags = steps.mean(axis=0), steps.shape[1]
 
-    def found(filter_s: float) -> float:
+    def time_constant_s(filter_s: float) -> float:
         def miss(lag: float) -> float:
             return float(np.sum((mean - _increments(lag, filter_s, lags, rate)) ** 2))
 
         return float(optimize.minimize_scalar(miss, bounds=_LAG_S, method="bounded", options={"xatol": 1e-9}).x)
 
-    seconds, shift = found(FILTER_S), 1e-6
+    seconds, shift = time_constant_s(FILTER_S), 1e-6
     slope = (_increments(seconds + shift, FILTER_S, lags, rate) - _increments(seconds, FILTER_S, lags, rate)) / shift
     scatter = steps.std(axis=0, ddof=1) / np.sqrt(len(steps)) if len(steps) > 1 else np.zeros(lags)
     noise = float(np.linalg.norm(scatter * slope) / (slope @ slope))
-    by_filter = found(FILTER_S * (1.0 + ANTI_ALIAS_TOLERANCE)) - seconds
+    by_filter = time_constant_s(FILTER_S * (1.0 + ANTI_ALIAS_TOLERANCE)) - seconds
     return TimeConstant(seconds, noise, float(np.hypot(noise, by_filter)))
 
 

@@ -195,12 +195,12 @@ def linear_region(profile: ForceConstant, points: Sequence[SpringPoint], stroke_
             high=750.0 * stroke_m,
         )
     values = profile.basis.values(fine)  # (fine, p)
-    found = _edges(values @ profile.coefficients, fine, middle)
+    fitted = _edges(values @ profile.coefficients, fine, middle)
     random = np.random.default_rng(0)
     draws = random.multivariate_normal(profile.coefficients, profile.covariance, _DRAWS, method="svd")
     spread = np.std([_edges(values @ draw, fine, middle) for draw in draws], axis=0)
-    low, high, plateau = (Estimate(float(v), float(s)) for v, s in zip(found, spread, strict=True))
-    return LinearRegion(low, high, bool(found[0] <= first), bool(found[1] >= last), plateau)
+    low, high, plateau = (Estimate(float(v), float(s)) for v, s in zip(fitted, spread, strict=True))
+    return LinearRegion(low, high, bool(fitted[0] <= first), bool(fitted[1] >= last), plateau)
 
 
 def _measured(points: Sequence[SpringPoint], stroke_m: float) -> tuple[float, float]:
@@ -350,11 +350,11 @@ def compare(
     weight = np.linalg.pinv(covariance, rcond=1e-8, hermitian=True)
     information = float(by_spring @ weight @ by_spring)
     share = float(by_spring @ weight @ by_flux) / information  # flux over spring
-    left = by_flux - share * by_spring
+    difference = by_flux - share * by_spring
     freedom = int(np.linalg.matrix_rank(covariance, tol=1e-8 * float(np.linalg.norm(covariance, 2)))) - 1
-    chance = float(stats.chi2.sf(left @ weight @ left, max(1, freedom)))
+    chance = float(stats.chi2.sf(difference @ weight @ difference, max(1, freedom)))
     ratio = Estimate(1.0 / share, float(1.0 / np.sqrt(information) / share**2))
-    resistances = np.array([found.value for found in flux.resistance_ohm]) / device.coil_resistance_ohm
+    resistances = np.array([estimate.value for estimate in flux.resistance_ohm]) / device.coil_resistance_ohm
     resistance = Estimate(float(resistances.mean()), float(resistances.std(ddof=1)) if resistances.size > 1 else None)
     stage = _stage(points)
     expected = float(np.hypot(electrical_std, spring_std))

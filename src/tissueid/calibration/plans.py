@@ -181,4 +181,4 @@ class SweepPlan(RepeatedPlan):
         """Positions of the probe, rising, m."""
         count = 1 + round((self.to_m - self.from_m) / self.step_m - 1e-6)
         places = self.from_m + self.step_m * np.arange(count)
-        return tuple(float(place) for place in places[places <= self.to_m + 1e-9])
+        return tuple(float(position) for position in places[places <= self.to_m + 1e-9])

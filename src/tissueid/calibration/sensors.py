@@ -195,12 +195,12 @@ def temperature_findings(rest: NDArray[np.void], levels: Levels, ambient_c: floa
 
 def _largest_jump(temperature: NDArray[np.float64], levels: Levels) -> float:
     """Return the largest step between adjacent means over a tenth of a second, °C, at rest and at 0 V."""
-    found = 0.0
+    largest = 0.0
     for values in (temperature, levels.rest["temperature"]):
         parts = np.array_split(values, max(2, round(values.size / 200)))
         means = np.array([float(np.mean(part)) for part in parts if part.size])
-        found = max(found, float(np.abs(np.diff(means)).max(initial=0.0)))
-    return found
+        largest = max(largest, float(np.abs(np.diff(means)).max(initial=0.0)))
+    return largest
 
 
 def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | None) -> CalibrationFindings:
@@ -422,9 +422,9 @@ def cross_stroke(
         play(instrument, command, limits, on_samples=take, cancelled=cancelled)
         samples = join_blocks(blocks)
         crossings = [_crossing(samples[n * hold : (n + 1) * hold], device) for n in range(1, forces.size)]
-        found = tuple(crossing for crossing in crossings if crossing is not None)
-        if len(found) == len(crossings):
-            return found
+        completed = tuple(crossing for crossing in crossings if crossing is not None)
+        if len(completed) == len(crossings):
+            return completed
     raise UnusableInputError(
         "calibration.stuck",
         "the probe does not move from end to end with {force:g} N: check that nothing is under it and nothing rubs",
@@ -462,9 +462,9 @@ def balancing_current(crossings: tuple[Crossing, ...]) -> Estimate:
     speed = np.array([crossing.speed_m_per_s for crossing in crossings])
     current = np.array([crossing.current_a for crossing in crossings])
     pairs = []
-    for one, other in zip(range(0, speed.size, 2), range(1, speed.size, 2), strict=True):
-        per_speed = (current[other] - current[one]) / (speed[other] - speed[one])
-        pairs.append(0.5 * (current[one] + current[other]) - per_speed * 0.5 * (speed[one] + speed[other]))
+    for first, second in zip(range(0, speed.size, 2), range(1, speed.size, 2), strict=True):
+        per_speed = (current[second] - current[first]) / (speed[second] - speed[first])
+        pairs.append(0.5 * (current[first] + current[second]) - per_speed * 0.5 * (speed[first] + speed[second]))
     noise = float(np.linalg.norm([crossing.current_std_a for crossing in crossings])) / len(crossings)
     return Estimate(float(np.mean(pairs)), float(np.hypot(noise, np.ptp(pairs) / 2.0)))
 

@@ -190,16 +190,16 @@ def held_record(held: Array, position: Array, sample_rate_hz: float, unit: str) 
     means = held[: count * every].reshape(count, every).mean(axis=1)
     last = position[: count * every].reshape(count, every)[:, -1]
     held_from = np.append(means[1:], np.nan)  # a record stores the value held from each reading on
-    known = np.flatnonzero(np.isfinite(held_from) & np.isfinite(last))
-    if not known.size:
+    valid = np.flatnonzero(np.isfinite(held_from) & np.isfinite(last))
+    if not valid.size:
         raise UnusableInputError("sweep.all_lost", "all samples were lost: check the cable and repeat the sweep")
-    whole = slice(int(known[0]), int(known[-1]) + 1)  # drop the ends, which lack a neighbour
+    whole = slice(int(valid[0]), int(valid[-1]) + 1)  # drop the ends, which lack a neighbour
     return Record(held_from[whole], last[whole], sample_rate_hz / every, "held", "position", unit, "m")
 
 
-def _positive_std(found: Estimate) -> Estimate:
+def _positive_std(estimate: Estimate) -> Estimate:
     """Return an estimate with a positive standard deviation, which an inverted coil would make negative."""
-    return found if found.std is None else Estimate(found.value, abs(found.std))
+    return estimate if estimate.std is None else Estimate(estimate.value, abs(estimate.std))
 
 
 def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescription) -> SpringPoint:
@@ -214,7 +214,7 @@ def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescripti
     record = held_record(device.force_constant_n_per_a * mean_current, test.position, test.sample_rate_hz, "N")
     rate = record.sample_rate_hz
     model = Lms(memory=MEMORY_S, hold="zero-order").fit(record)
-    found = model.report.parameters
+    parameters = model.report.parameters
     frequency = np.geomspace(LOWEST_HZ, HIGHEST_HZ, _FREQUENCIES)
     # Frequency response to a force, compensated for the zero-order hold.
     turned = np.exp(-2j * np.pi * frequency[:, None] * (model.lag_s - 0.5 / rate))  # (frequencies, lags)
@@ -228,9 +228,9 @@ def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescripti
         peak_to_peak_m=float(np.nanmax(test.position) - np.nanmin(test.position)),
         vaf_percent=model.report.vaf_percent,
         vaf_parametric_percent=model.second_order.vaf_percent,
-        mass_kg=_positive_std(found["mass_kg"]),
-        damping_n_s_per_m=_positive_std(found["damping_n_s_per_m"]),
-        stiffness_n_per_m=_positive_std(found["stiffness_n_per_m"]),
+        mass_kg=_positive_std(parameters["mass_kg"]),
+        damping_n_s_per_m=_positive_std(parameters["damping_n_s_per_m"]),
+        stiffness_n_per_m=_positive_std(parameters["stiffness_n_per_m"]),
         frequency_hz=frequency,
         response_m_per_n=turned @ model.impulse_response / rate,
     )
@@ -281,8 +281,8 @@ def gentle_test_model(
     run = play(instrument, command, limits, on_samples=take, cancelled=cancelled)
     samples = join_blocks(blocks)
     volts, position = np.full(command.size, np.nan), np.full(command.size, np.nan)
-    place = samples["index"].astype(np.int64) - run.first_index
-    volts[place], position[place] = samples["voltage"], samples["position"]
+    index = samples["index"].astype(np.int64) - run.first_index
+    volts[index], position[index] = samples["voltage"], samples["position"]
     record = held_record(volts[quiet:], position[quiet:], rate, "V")
     model = run_while_polling(instrument, lambda: Lms(memory=MEMORY_S, hold="zero-order").fit(record), cancelled)
     if not model.second_order.vaf_percent >= 100.0 * _MIN_VAF:

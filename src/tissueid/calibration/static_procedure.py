@@ -133,29 +133,29 @@ class Procedure:
         rest = self._rest(Message("calibration.step.rest", "at rest"))
         levels = self._levels(Message("calibration.step.levels", "voltage to current to force"))
         electrical = electrical_findings(levels, rest, self._device)
-        found = electrical if "electrical" in wanted else CalibrationFindings()
+        findings = electrical if "electrical" in wanted else CalibrationFindings()
         zero_a = electrical.value("current_offset_a")
         if "temperature" in wanted:
-            found += temperature_findings(rest, levels, plan.ambient_c)
+            findings += temperature_findings(rest, levels, plan.ambient_c)
         turned = self._turned_samples() if "acceleration" in wanted and plan.turn_over else None
         acceleration = acceleration_findings(rest, turned)
         gravity = acceleration.value("gravity_along_stroke_m_s2")
         if "acceleration" in wanted:
-            found += acceleration
+            findings += acceleration
         if abs(gravity) > _MAX_GRAVITY:
             gravity = GRAVITY_M_S2
         weighed = [levels, *self._weight_levels()] if "force" in wanted and plan.weights_kg else []
         places, line = self._position_readings() if "position" in wanted else (np.zeros(0), None)
         crossings = self._crossings(gravity) if "range" in wanted else ()
-        found += self._skipped_notes(line, crossings)
+        findings += self._skipped_notes(line, crossings)
         slope = spring_line(levels, zero_a).slope.value
         offset = None
         gain = None if line is None else line.slope
         if line is not None:
             offset, shared = self._offset(line, crossings, slope, gravity, zero_a)
-            found += position_findings(places, line, offset)
-            found += CalibrationFindings(shared={"position_offset_m": shared})
-        force = force_by_spring(levels, self._device, plan.spring, gain, zero_a, known=not weighed)
+            findings += position_findings(places, line, offset)
+            findings += CalibrationFindings(shared={"position_offset_m": shared})
+        force = force_by_spring(levels, self._device, plan.spring, gain, zero_a, check_nominal=not weighed)
         if weighed:
             along = gravity / GRAVITY_M_S2
             force += force_by_weights(weighed, (0.0, *plan.weights_kg), self._device, along, zero_a)
@@ -163,9 +163,9 @@ class Procedure:
             zero = CalibrationFindings(
                 {"current_offset_a": electrical.quantities["current_offset_a"]}
             )  # the force constant was measured with it
-            found += force + zero
+            findings += force + zero
         if crossings:
-            found += range_findings(
+            findings += range_findings(
                 crossings,
                 self._device,
                 position_gain=1.0 if gain is None else gain.value,
@@ -181,9 +181,9 @@ class Procedure:
             last_levels = self._levels(Message("calibration.step.levels_again", "voltage to current again"))
             last = electrical_findings(last_levels, again, self._device)
             same_place = self.has_stage or not put_back
-            found += supply_findings(electrical, last, rest, again, self._device, same_place=same_place)
+            findings += supply_findings(electrical, last, rest, again, self._device, same_place=same_place)
         self.drain_release()
-        return found
+        return findings
 
     # -- what the steps need ------------------------------------------------------------------------------
 
@@ -191,7 +191,7 @@ class Procedure:
         """Poll until the release ramp of the previous run is over."""
         rest_samples(self._instrument, _RELEASED_S, cancelled=self._cancelled)
 
-    def _move(self, position_m: float | None, words: str) -> None:
+    def _move(self, position_m: float | None, instruction: str) -> None:
         """Move the fixture by the stage, or ask the operator to.
 
         Raises:
@@ -203,9 +203,9 @@ class Procedure:
             return
         self.has_stage = False
         if not self._plan.in_place:
-            self._ask_person(words)
+            self._ask_person(instruction)
 
-    def _ask_person(self, words: str) -> None:
+    def _ask_person(self, instruction: str) -> None:
         ask = self._ask
         if ask is None:
             raise UnusableInputError(
@@ -213,7 +213,7 @@ class Procedure:
                 "this instrument has no motorised stage, and no person is present to put the spring under the "
                 "probe: run the command in a terminal, or give --in-place if the spring is already there",
             )
-        run_while_polling(self._instrument, lambda: ask(words), self._cancelled)
+        run_while_polling(self._instrument, lambda: ask(instruction), self._cancelled)
 
     def _show_step(self, step: Message, fraction: float) -> None:
         """Show a step and the completed share of the whole calibration, whose steps count alike."""
@@ -295,7 +295,7 @@ class Procedure:
         stroke, gauges = self._device.stroke_m, self._plan.gauges_m
         if self.has_stage:
             truth = np.linspace(0.1, 0.9, PLACES) * stroke
-            rests = [self._rest_at(number, place, "") for number, place in enumerate(truth)]
+            rests = [self._rest_at(number, position, "") for number, position in enumerate(truth)]
         elif gauges and not self._plan.in_place:
             truth = -np.array(gauges)
             rests = [self._rest_at(number, None, gauge_instruction(height)) for number, height in enumerate(gauges)]
@@ -303,9 +303,9 @@ class Procedure:
             return np.zeros(0), None
         return truth, position_line(truth, rests)
 
-    def _rest_at(self, number: int, place_m: float | None, words: str) -> NDArray[np.void]:
-        self._move(place_m, words)
-        places = len(self._plan.gauges_m) if words else PLACES
+    def _rest_at(self, number: int, position_m: float | None, instruction: str) -> NDArray[np.void]:
+        self._move(position_m, instruction)
+        places = len(self._plan.gauges_m) if instruction else PLACES
         samples = rest_samples(self._instrument, PLACE_S, cancelled=self._cancelled)
         self._show_step(Message("calibration.step.position", "position along the stroke"), (number + 1) / places)
         return samples
@@ -406,18 +406,18 @@ def calibrate_static(
     procedure = Procedure(instrument, plan, ask, progress, cancelled)
     procedure.drain_release()
     instrument.use_calibration(instrument.nominal, {})
-    found = mean_of_repeats([procedure.run(run) for run in range(1, plan.repeats + 1)])
+    findings = mean_of_repeats([procedure.run(run) for run in range(1, plan.repeats + 1)])
     device = instrument.device
     conditions: dict[str, float | str] = {"repeats": float(plan.repeats), "steps": ", ".join(plan.steps)}
     if plan.ambient_c is not None:
         conditions["ambient_c"] = plan.ambient_c
-    if "temperature_at_rest_c" in found.quantities:
-        conditions["coil_temperature_c"] = found.quantities["temperature_at_rest_c"].value
+    if "temperature_at_rest_c" in findings.quantities:
+        conditions["coil_temperature_c"] = findings.quantities["temperature_at_rest_c"].value
     conditions["by"] = (
         "motorised stage" if procedure.has_stage else "spring in place" if plan.in_place or ask is None else "hand"
     )
-    conditions |= {f"note_{number}": stored_text(note) for number, note in enumerate(found.notes, start=1)}
-    problems = found.problems
+    conditions |= {f"note_{number}": stored_text(note) for number, note in enumerate(findings.notes, start=1)}
+    problems = findings.problems
     calibration = Calibration(
         kind="static",
         model=device.model,
@@ -429,9 +429,9 @@ def calibrate_static(
         conditions=conditions,
         verdict="failed" if problems else "passed",
         problems=tuple(map(stored_text, problems)),
-        quantities=found.quantities,
-        tables=found.tables,
-        messages=stored_messages((*problems, *found.notes)),
+        quantities=findings.quantities,
+        tables=findings.tables,
+        messages=stored_messages((*problems, *findings.notes)),
     )
     if calibration.verdict == "passed" and (strange := first_implausible(calibration, instrument.nominal)):
         problem = Message(
@@ -439,7 +439,7 @@ def calibrate_static(
             "{reason}: this is not plausible; check the fixture and the wiring",
             reason=strange,
         )
-        messages = stored_messages((problem, *found.notes))
+        messages = stored_messages((problem, *findings.notes))
         failed = {"verdict": "failed", "problems": (stored_text(problem),), "messages": messages}
         calibration = calibration.model_copy(update=failed)
-    return StaticCalibration(calibration, found.notes, time.perf_counter() - begin)
+    return StaticCalibration(calibration, findings.notes, time.perf_counter() - begin)

@@ -131,8 +131,8 @@ def stored_calibrations(folder: Path | None) -> tuple[Stored, ...]:
             count=len(files),
             limit=_MAX_FILES,
         )
-    found = [_stored(path) for path in files]
-    return tuple(sorted(found, key=lambda item: (item.made, item.path.name), reverse=True))
+    stored = [_stored(path) for path in files]
+    return tuple(sorted(stored, key=lambda item: (item.made, item.path.name), reverse=True))
 
 
 def _stored(path: Path) -> Stored:
@@ -209,17 +209,17 @@ def label_of(name: str) -> str:
     return _LABELS.get(name) or label_and_unit(name)[0]
 
 
-def readable(name: str, found: CalibratedQuantity) -> tuple[str, str, str]:
+def readable(name: str, quantity: CalibratedQuantity) -> tuple[str, str, str]:
     """Return label, value with standard deviation, and display unit of a quantity."""
-    unit, scale = unit_of_quantity(name, found)
-    return label_of(name), plus_minus(Estimate(found.value, found.std), scale), unit
+    unit, scale = unit_of_quantity(name, quantity)
+    return label_of(name), plus_minus(Estimate(quantity.value, quantity.std), scale), unit
 
 
-def unit_of_quantity(name: str, found: CalibratedQuantity) -> tuple[str, float]:
+def unit_of_quantity(name: str, quantity: CalibratedQuantity) -> tuple[str, float]:
     """Return the display unit of a quantity, with a prefix for small values, and the factor to it."""
     if name == "calibration_relative_uncertainty":
         return "%", 100.0
-    return unit_for(found.unit, max(abs(found.value), found.std or 0.0))
+    return unit_for(quantity.unit, max(abs(quantity.value), quantity.std or 0.0))
 
 
 def verdict_of(calibration: Calibration) -> Message:
@@ -250,8 +250,8 @@ def notes_of(calibration: Calibration) -> tuple[str, ...]:
 
 
 def _as_messages(calibration: Calibration, texts: tuple[str, ...]) -> tuple[str, ...]:
-    known = {stored_text(message): message for message in map(message_from, calibration.messages)}
-    return tuple(known.get(text, text) for text in texts)
+    by_text = {stored_text(message): message for message in map(message_from, calibration.messages)}
+    return tuple(by_text.get(text, text) for text in texts)
 
 
 def stored_text(message: str) -> str:
@@ -289,26 +289,26 @@ _RANGES = {"linear_region": marked("linear region"), "stroke": marked("stroke")}
 def first_implausible(calibration: Calibration, nominal: DeviceDescription) -> str:
     """Return the first implausible quantity of a calibration of this device as a message; "" without one."""
     for name, tolerance in DEVICE_TOLERANCES.items():
-        if (found := calibration.quantities.get(name)) is not None:
+        if (quantity := calibration.quantities.get(name)) is not None:
             usual = getattr(nominal, name)
-            if not abs(found.value - usual) <= tolerance * abs(usual):  # false for a nominal NaN
+            if not abs(quantity.value - usual) <= tolerance * abs(usual):  # false for a nominal NaN
                 return Message(
                     "calibration.implausible.nominal",
                     "{label} is {value:.4g}, more than {percent:.0f} % from the nominal {nominal:.4g}",
                     label=label_of(name),
                     name=name,
-                    value=found.value,
+                    value=quantity.value,
                     percent=100.0 * tolerance,
                     nominal=usual,
                 )
     for name, (least, most) in BOUNDS.items():
-        if (found := calibration.quantities.get(name)) is not None and not least <= found.value <= most:
+        if (quantity := calibration.quantities.get(name)) is not None and not least <= quantity.value <= most:
             return Message(
                 "calibration.implausible.bounds",
                 "{label} is {value:.4g}, which is not between {least:g} and {most:g}",
                 label=label_of(name),
                 name=name,
-                value=found.value,
+                value=quantity.value,
                 least=least,
                 most=most,
             )
@@ -362,8 +362,10 @@ def file_status(item: Stored, now: datetime) -> FileStatus:
         return FileStatus("damaged", Message("calibration.damaged", "cannot be used: {problem}", problem=item.problem))
     state, reason = _state_by_age(calibration, now)
     if state == "valid":
-        left = calibration.valid_days - calibration.age_days(now)
-        return FileStatus(state, Message("calibration.days_left", "passed, valid for {days:.0f} more days", days=left))
+        days_left = calibration.valid_days - calibration.age_days(now)
+        return FileStatus(
+            state, Message("calibration.days_left", "passed, valid for {days:.0f} more days", days=days_left)
+        )
     return FileStatus(state, reason)
 
 

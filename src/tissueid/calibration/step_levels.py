@@ -135,8 +135,8 @@ def hold_levels(
     command = _smoothed_steps(np.asarray(levels_v, np.float64), hold, round(rise_s * rate))
     run = play(instrument, command, limits, on_samples=take, cancelled=cancelled)
     samples = join_blocks(blocks)
-    place = samples["index"].astype(np.int64) - run.first_index
-    level, settled = place // hold, place % hold >= hold * (1 - SETTLED_SHARE)
+    index = samples["index"].astype(np.int64) - run.first_index
+    level, settled = index // hold, index % hold >= hold * (1 - SETTLED_SHARE)
     received = np.all([np.isfinite(samples[name]) for name in _MEASURED], axis=0)
     means = np.zeros((len(_AVERAGED), len(levels_v)))  # (channels, levels)
     variances = np.zeros_like(means)

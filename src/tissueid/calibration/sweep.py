@@ -112,9 +112,9 @@ class Sweep:
         places = self._plan.positions_m
         total = len(places) * self._plan.repeats
         for repeat in range(self._plan.repeats):
-            for number, place in enumerate(places if repeat % 2 == 0 else places[::-1]):
+            for number, position in enumerate(places if repeat % 2 == 0 else places[::-1]):
                 done = repeat * len(places) + number
-                self.measure(place, done, repeat, total)
+                self.measure(position, done, repeat, total)
                 self._progress((done + 1) / total)
 
     def measure(self, place_m: float, done: int, repeat: int, total: int) -> None:
@@ -257,10 +257,10 @@ def sweep_tests(session: Session) -> list[SweepTest]:
     Raises:
         UnusableInputError: there are none.
     """
-    found = [SweepTest.of_session(test) for test in session.tests if test.kind == KIND and test.status == "completed"]
-    if not found:
+    tests = [SweepTest.of_session(test) for test in session.tests if test.kind == KIND and test.status == "completed"]
+    if not tests:
         raise UnusableInputError("sweep.no_test", "the session contains no completed test on the calibration spring")
-    return found
+    return tests
 
 
 POSITION_TOLERANCE_M = 0.5e-3

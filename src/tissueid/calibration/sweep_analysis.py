@@ -268,8 +268,8 @@ def _repeats(
 def quantities_of(result: SweepResult) -> dict[str, CalibratedQuantity]:
     """Return the quantities of a sweep as stored in its calibration."""
     region, agreement = result.region, result.agreement
-    resistances = np.array([found.value for found in result.flux.resistance_ohm])
-    found = {
+    resistances = np.array([estimate.value for estimate in result.flux.resistance_ohm])
+    quantities = {
         "force_constant_n_per_a": quantity(region.plateau_n_per_a, "N/A"),
         "linear_region_min_m": quantity(region.min_m, "m"),
         "linear_region_max_m": quantity(region.max_m, "m"),
@@ -282,8 +282,8 @@ def quantities_of(result: SweepResult) -> dict[str, CalibratedQuantity]:
         "noise_current_a": quantity(result.flux.noise_a, "A"),
     }
     if agreement.stage is not None:
-        found["position_over_stage"] = quantity(agreement.stage, "")
-    return found
+        quantities["position_over_stage"] = quantity(agreement.stage, "")
+    return quantities
 
 
 def _places(tests: Sequence[SweepTest]) -> list[float]:
@@ -295,9 +295,9 @@ def _places(tests: Sequence[SweepTest]) -> list[float]:
     return places
 
 
-def _with_relative_std(found: Estimate, share: float, relative_std: float) -> Estimate:
-    value = share * found.value
-    return Estimate(value, float(np.hypot(share * (found.std or 0.0), relative_std * value)))
+def _with_relative_std(estimate: Estimate, share: float, relative_std: float) -> Estimate:
+    value = share * estimate.value
+    return Estimate(value, float(np.hypot(share * (estimate.std or 0.0), relative_std * value)))
 
 
 def _problems(result: SweepResult) -> tuple[str, ...]:
@@ -350,7 +350,9 @@ def _problems(result: SweepResult) -> tuple[str, ...]:
         )
     if result.agreement.cause is not None:
         problems.append(result.agreement.words)
-    others = {name: found for name, found in quantities_of(result).items() if name != "force_constant_n_per_a"}
+    others = {
+        name: calibrated for name, calibrated in quantities_of(result).items() if name != "force_constant_n_per_a"
+    }
     if strange := first_implausible(_quantities_only(result.device, others), _nominal(result.device)):
         problems.append(
             Message(
@@ -451,10 +453,10 @@ def _tables(result: SweepResult) -> dict[str, dict[str, tuple[float, ...]]]:
     ]
 
     def estimates(name: str, stem: str, unit: str) -> dict[str, tuple[float, ...]]:
-        found: list[Estimate] = [getattr(point, name) for point in points]
+        fitted: list[Estimate] = [getattr(point, name) for point in points]
         return {
-            f"{stem}_{unit}": column([one.value for one in found]),
-            f"{stem}_std_{unit}": column([one.std or 0.0 for one in found]),
+            f"{stem}_{unit}": column([estimate.value for estimate in fitted]),
+            f"{stem}_std_{unit}": column([estimate.std or 0.0 for estimate in fitted]),
         }
 
     tables = {
@@ -476,7 +478,7 @@ def _tables(result: SweepResult) -> dict[str, dict[str, tuple[float, ...]]]:
             **estimates("mass_kg", "mass", "kg"),
             **estimates("damping_n_s_per_m", "damping", "n_s_per_m"),
             **estimates("stiffness_n_per_m", "stiffness", "n_per_m"),
-            "resistance_ohm": column([found.value for found in result.flux.resistance_ohm]),
+            "resistance_ohm": column([estimate.value for estimate in result.flux.resistance_ohm]),
             "force_constant_n_per_a": column(by_point),
             "force_constant_std_n_per_a": column(point_std),
         },
