@@ -49,7 +49,7 @@ def test_a_step_of_a_standard_linear_solid_gives_its_lengths_and_ratios() -> Non
     for seed in range(12):
         found, truth = recorded(steps.step_record(np.random.default_rng(seed), noise_m=2e-5))
         for name, true in truth.items():
-            estimate = found[name].found
+            estimate = found[name].estimate
             assert estimate is not None
             assert estimate.std is not None
             inside += abs(estimate.value - true) < 1.96 * estimate.std
@@ -65,18 +65,18 @@ def test_drift_widens_the_later_readings() -> None:
     still, _ = recorded(steps.step_record(np.random.default_rng(1)))
     drifting, truth = recorded(steps.step_record(np.random.default_rng(1), drift_m_per_s=5e-6))
     for name in ("uf_m", "ua_m", "r2"):
-        estimate = drifting[name].found
+        estimate = drifting[name].estimate
         assert estimate is not None
         assert estimate.std is not None
-        assert still[name].found is not None
-        assert estimate.std > 3.0 * still[name].found.std
+        assert still[name].estimate is not None
+        assert estimate.std > 3.0 * still[name].estimate.std
         assert abs(estimate.value - truth[name]) < 1.96 * estimate.std
 
 
 def test_cycles_are_compared_where_there_are_several() -> None:
     one, _ = recorded(steps.step_record(np.random.default_rng(0)))
     for name in ("r3_m", "r4_m", "r9_m"):
-        assert one[name].found is None
+        assert one[name].estimate is None
         assert code_of(one[name].reason) == "readings.one_cycle"
     record = steps.step_record(np.random.default_rng(0), cycles=3)
     course = find_steps(record.input, record.sample_rate_hz)
@@ -94,9 +94,9 @@ def test_the_release_in_two_steps_gives_no_recovery_and_says_so() -> None:
     force = StepHold(seconds=4.0, force_min_n=1.0, force_max_n=4.0).build().values
     found = by_name(step_readings(recorded_points(steps.creep(force, 2000.0), find_steps(force, 2000.0))))
     assert found["ue_m"].value == pytest.approx(3.0 * steps.compliance(0.1), rel=2e-3)
-    assert found["ur_m"].found is None
+    assert found["ur_m"].estimate is None
     assert code_of(found["ur_m"].reason) == "readings.slow_release"
-    assert found["ua_m"].found is not None
+    assert found["ua_m"].estimate is not None
 
 
 def test_noise_is_no_step_and_a_short_baseline_has_no_uncertainty() -> None:
@@ -106,8 +106,8 @@ def test_noise_is_no_step_and_a_short_baseline_has_no_uncertainty() -> None:
         find_steps(np.full(4000, 2.0), 2000.0)
     record = steps.step_record(np.random.default_rng(0))[slice(1900, None)]
     found, _ = recorded(record)
-    assert found["ue_m"].found is not None
-    assert found["ue_m"].found.std is None
+    assert found["ue_m"].estimate is not None
+    assert found["ue_m"].estimate.std is None
     assert code_of(found["ue_m"].reason) == "readings.short_baseline"
 
 
@@ -116,7 +116,7 @@ def test_lost_samples_leave_out_what_they_hold() -> None:
     output = record.output.copy()
     output[2150:2300] = np.nan
     found, truth = recorded(replace(record, output=output))
-    assert found["ue_m"].found is None
+    assert found["ue_m"].estimate is None
     assert code_of(found["ue_m"].reason) == "readings.not_received"
     assert found["uf_m"].value == pytest.approx(truth["uf_m"], rel=5e-3)
 
@@ -143,7 +143,7 @@ def test_a_fit_gives_the_decay_of_the_known_system(engine: str) -> None:
     assert local is not None
     found = by_name(system_decay(local))
     for name, true in by_name(system_decay(LocalSystem(FOREARM, None))).items():
-        estimate = found[name].found
+        estimate = found[name].estimate
         assert estimate is not None
         assert estimate.std is not None
         assert true.value is not None
@@ -155,7 +155,7 @@ def test_an_overdamped_system_has_a_stiffness_only() -> None:
     found = by_name(system_decay(LocalSystem(SecondOrder(0.01, 50.0, 1000.0), np.diag([1e-4] * 3))))
     assert found["stiffness_n_per_m"].value == pytest.approx(1000.0)
     for name in ("frequency_hz", "decrement", "relaxation_s", "creep"):
-        assert found[name].found is None
+        assert found[name].estimate is None
         assert code_of(found[name].reason) == "readings.overdamped"
 
 
@@ -168,7 +168,7 @@ def test_the_release_of_a_step_shows_frequency_and_decrement() -> None:
     found = by_name(recorded_release(force, position, course).readings)
     true = by_name(system_decay(LocalSystem(light, None)))
     for name in ("frequency_hz", "decrement"):
-        estimate = found[name].found
+        estimate = found[name].estimate
         assert estimate is not None
         assert estimate.std is not None
         assert estimate.value == pytest.approx(true[name].value, rel=0.02)
@@ -189,17 +189,17 @@ def test_a_model_plays_the_same_step_with_the_uncertainty_of_its_fit() -> None:
     analysis = fit_split(engine, split_records([record]))
     found = by_name(model_readings(analysis, engine, step.input, course, draws=4).step)
     for name in ("ue_m", "uf_m", "ur_m", "ua_m"):
-        estimate = found[name].found
+        estimate = found[name].estimate
         assert estimate is not None
         assert estimate.std is not None
         assert estimate.std > 0.0
         assert estimate.value == pytest.approx(truth[name], rel=0.03), name
     short = get_engine("lms").from_options({"memory": 0.125})
     found = by_name(model_readings(fit_split(short, split_records([record])), short, step.input, course, draws=0).step)
-    assert found["uv_m"].found is None
+    assert found["uv_m"].estimate is None
     assert code_of(found["uv_m"].reason) == "readings.short_memory"
-    assert found["ue_m"].found is not None
-    assert found["ue_m"].found.std is None
+    assert found["ue_m"].estimate is not None
+    assert found["ue_m"].estimate.std is None
 
 
 def test_a_session_of_one_test_says_what_is_missing_and_draws_the_rest() -> None:

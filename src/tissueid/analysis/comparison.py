@@ -147,7 +147,7 @@ def compare(
     specified = {engine.name: engine for engine in engines}
     contenders = candidates(list(rows.values()), [specified[name].family for name in rows], parts)
     contenders, held_out = cross_validated(contenders, specified, parts, progress)
-    found = recommend(
+    recommendation = recommend(
         contenders,
         held_out,
         parts.fitted,
@@ -157,7 +157,7 @@ def compare(
     return EngineComparison(
         entries=tuple(ComparisonEntry(e.name, e.family, rows.get(e.name), refused.get(e.name)) for e in engines),
         split=parts,
-        recommendation=sized(found, specified[found.engine], parts, progress),
+        recommendation=sized(recommendation, specified[recommendation.engine], parts, progress),
         ceiling=ceiling,
         memory_sweep=memory_sweep(engines, parts, progress) if sweep else (),
     )
@@ -173,12 +173,12 @@ def fit_or_reason(parts: Split, engine: Engine) -> Analysis | str:
 
 def _fit_each(progress: Progress) -> Fits:
     def fits(engines: Sequence[Engine], parts: Split) -> list[Analysis | str]:
-        found: list[Analysis | str] = []
+        outcomes: list[Analysis | str] = []
         for engine in engines:
             progress(engine.name, 0.0)
-            found.append(fit_or_reason(parts, engine))
+            outcomes.append(fit_or_reason(parts, engine))
             progress(engine.name, 1.0)
-        return found
+        return outcomes
 
     return fits
 
@@ -225,14 +225,14 @@ def cross_validated(
     progress(_REFITTING, 1.0)
     quarters = [quarter.unseen.output for quarter in (*others, parts)]
     centred = [_centred_output(error, quarters) for error in errors]
-    found = [replace(c, error=e, measured=y) for c, e, y in zip(candidates, errors, centred, strict=True)]
-    return found, joined_records(parts.records)
+    with_errors = [replace(c, error=e, measured=y) for c, e, y in zip(candidates, errors, centred, strict=True)]
+    return with_errors, joined_records(parts.records)
 
 
 def _centred_output(error: Array, quarters: Sequence[Array]) -> Array:
     """Return the output (n,) without its mean in each quarter, over the samples where the error (n,) is known."""
-    known = [np.where(np.isfinite(error), quarter, np.nan) for quarter in quarters]
-    return np.asarray(np.nansum([_without_mean(quarter) for quarter in known], axis=0), dtype=np.float64)
+    masked = [np.where(np.isfinite(error), quarter, np.nan) for quarter in quarters]
+    return np.asarray(np.nansum([_without_mean(quarter) for quarter in masked], axis=0), dtype=np.float64)
 
 
 def _is_far_behind(candidate: ModelCandidate, candidates: Sequence[ModelCandidate], unseen: Record) -> bool:
@@ -247,13 +247,13 @@ def _add(specification: Engine, quarter: Split, candidates: Sequence[ModelCandid
         return
     for k, candidate in enumerate(candidates):
         if candidate.engine == specification.name:
-            found = _without_mean(held_out_error(model, quarter, second_order=candidate.second_order))
-            errors[k] = np.where(np.isfinite(found), found, errors[k])
+            error = _without_mean(held_out_error(model, quarter, second_order=candidate.second_order))
+            errors[k] = np.where(np.isfinite(error), error, errors[k])
 
 
 def _without_mean(error: Array) -> Array:
-    known = error[np.isfinite(error)]
-    return error - known.mean() if known.size else error
+    finite = error[np.isfinite(error)]
+    return error - finite.mean() if finite.size else error
 
 
 SWEPT_MEMORY_S = (0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.125)
@@ -323,7 +323,7 @@ def memory_sweep(
     )
 
 
-def sized(found: Recommendation, specification: Engine, parts: Split, progress: Progress) -> Recommendation:
+def sized(recommendation: Recommendation, specification: Engine, parts: Split, progress: Progress) -> Recommendation:
     """Return the recommendation with the smallest sufficient memory, number of partitions and order.
 
     Each option that the engine has is varied alone, and scored on held-out samples.
@@ -346,9 +346,9 @@ def sized(found: Recommendation, specification: Engine, parts: Split, progress: 
                 continue
             trials.append((float(value), held_out_error(model, parts)))
         if len(trials) > 1:
-            found = found.with_choice(option, trials, parts.unseen)
+            recommendation = recommendation.with_choice(option, trials, parts.unseen)
     progress(_SIZING, 1.0)
-    return found
+    return recommendation
 
 
 def _with(specification: Engine, **changes: Any) -> Engine:
@@ -442,15 +442,15 @@ def distortion_of(record: Record, described: Mapping[str, Any]) -> Distortion:
     Raises:
         UnusableInputError: all lines were driven, or the record is not that of an odd multisine.
     """
-    known = multisine_from_description(described)
-    if known is None:
+    multisine = multisine_from_description(described)
+    if multisine is None:
         return distortion(record)
-    if known.lines == "full":
+    if multisine.lines == "full":
         raise UnusableInputError(
             "distortion.all_lines_driven",
             "the multisine drove every line, and distortion shows only on lines that are not driven",
         )
-    return distortion(record, known.period, known.driven_lines().tolist(), known.settling_s)
+    return distortion(record, multisine.period, multisine.driven_lines().tolist(), multisine.settling_s)
 
 
 def described_levels(levels: Distortion) -> str:
@@ -460,6 +460,8 @@ def described_levels(levels: Distortion) -> str:
         (marked("even {level:.1f} dB"), levels.even_rms),
         (marked("odd {level:.1f} dB"), levels.odd_rms),
     )
-    known = ((template, levels.relative_db(level)) for template, level in rows)
-    items = tuple(Message("distortion.level", template, level=level) for template, level in known if level is not None)
+    rows_db = ((template, levels.relative_db(level)) for template, level in rows)
+    items = tuple(
+        Message("distortion.level", template, level=level) for template, level in rows_db if level is not None
+    )
     return Message("distortion.levels", "{levels}", levels=Listing(items)) if items else ""

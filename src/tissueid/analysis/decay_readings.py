@@ -67,8 +67,10 @@ def system_decay(local: LocalSystem) -> tuple[Reading, ...]:
             "there is no oscillation: the damping ratio is {ratio:.2f}",
             ratio=local.system.damping_ratio,
         )
-        found = {one.name: Reading(one, None, reason) for one in DECAY_DEFINITIONS} | {STIFFNESS.name: stiffness}
-        return tuple(found[one.name] for one in DECAY_DEFINITIONS)
+        readings = {definition.name: Reading(definition, None, reason) for definition in DECAY_DEFINITIONS} | {
+            STIFFNESS.name: stiffness
+        }
+        return tuple(readings[definition.name] for definition in DECAY_DEFINITIONS)
     figures: tuple[tuple[Definition, Callable[[float, float, float], float]], ...] = (
         (FREQUENCY, lambda m, b, k: _poles(m, b, k)[1] / (2.0 * math.pi)),
         (DECREMENT, lambda m, b, k: _decrement(*_poles(m, b, k))),
@@ -76,7 +78,7 @@ def system_decay(local: LocalSystem) -> tuple[Reading, ...]:
         (RELAXATION, lambda m, b, k: _relaxation(*_poles(m, b, k))),
         (CREEP, lambda m, b, k: _relaxation(*_poles(m, b, k)) / _largest(*_poles(m, b, k))),
     )
-    return tuple(_propagated(one, theta, local.log_covariance, figure) for one, figure in figures)
+    return tuple(_propagated(definition, theta, local.log_covariance, figure) for definition, figure in figures)
 
 
 def _poles(mass: float, damping: float, stiffness: float) -> tuple[float, float]:
@@ -117,12 +119,12 @@ def _propagated(
 
 def determined(definition: Definition, value: float, variance: float) -> Reading:
     """Return a reading; without a value where its standard deviation is more than half of it."""
-    found = estimate(value, variance)
-    if found.std is None:
-        return Reading(definition, found, NO_UNCERTAINTY)
-    if found.std > LARGEST_RELATIVE_STD * abs(value):
+    estimated = estimate(value, variance)
+    if estimated.std is None:
+        return Reading(definition, estimated, NO_UNCERTAINTY)
+    if estimated.std > LARGEST_RELATIVE_STD * abs(value):
         return Reading(definition, None, UNDETERMINED)
-    return Reading(definition, found)
+    return Reading(definition, estimated)
 
 
 # -- the published formulas on a trace --------------------------------------------------------------------------
@@ -139,23 +141,23 @@ def trace_figures(time_s: Array, displacement: Array, acceleration: Array, mass_
     """
     top = int(np.argmax(displacement))
     first = _peak(-acceleration, top, lowest=True)
-    found = dict.fromkeys((one.name for one in DECAY_DEFINITIONS), math.nan)
+    figures = dict.fromkeys((definition.name for definition in DECAY_DEFINITIONS), math.nan)
     if displacement[top] <= 0.0 or first is None:
-        return found
-    found[STIFFNESS.name] = float(-acceleration[top] * mass_kg / displacement[top])
+        return figures
+    figures[STIFFNESS.name] = float(-acceleration[top] * mass_kg / displacement[top])
     below = np.flatnonzero(displacement[top:] <= 0.0)
     if below.size:
         crossing = top + int(below[0])
         share = displacement[crossing - 1] / (displacement[crossing - 1] - displacement[crossing])
         zero_s = time_s[crossing - 1] + share * (time_s[crossing] - time_s[crossing - 1])
-        found[RELAXATION.name] = float(zero_s - time_s[top])
-        found[CREEP.name] = found[RELAXATION.name] / float(time_s[top]) if time_s[top] > 0.0 else math.nan
+        figures[RELAXATION.name] = float(zero_s - time_s[top])
+        figures[CREEP.name] = figures[RELAXATION.name] / float(time_s[top]) if time_s[top] > 0.0 else math.nan
         second = _peak(-acceleration, crossing)
         if second is not None:
             period = float(np.interp(second[0] - first[0], np.arange(time_s.size), time_s - time_s[0]))
-            found[FREQUENCY.name] = 1.0 / period
-            found[DECREMENT.name] = math.log(first[1] / second[1]) if second[1] > 0.0 < first[1] else math.nan
-    return found
+            figures[FREQUENCY.name] = 1.0 / period
+            figures[DECREMENT.name] = math.log(first[1] / second[1]) if second[1] > 0.0 < first[1] else math.nan
+    return figures
 
 
 def _peak(values: Array, start: int, *, lowest: bool = False) -> tuple[float, float] | None:
@@ -248,7 +250,7 @@ def recorded_release(force: Array, position: Array, course: StepCourse) -> Relea
     later = math.hypot(gains[1], gains[2]) * math.exp(-2.0 * math.pi * decay / frequency)
     if later < _LEAST_PEAK * float(np.std(error)):
         reason = Message("readings.no_second_peak", "the oscillation decays within one period: there is no second peak")
-        readings = [Reading(one.definition, None, reason) for one in readings]
+        readings = [Reading(reading.definition, None, reason) for reading in readings]
     rounded_s = min(decay, 0.5 / math.sqrt(spread_s2)) * spread_s2 if spread_s2 > 0.0 else 0.0
     readings[3] = _release_relaxation(t, fitted, error, (begin - middle) / rate - rounded_s)
     return Release(t, scale * y, scale * fitted, tuple(readings))
@@ -306,8 +308,8 @@ def _last_release(share: Array, course: StepCourse) -> tuple[float, float, int, 
     reach = math.ceil(1.5 * (edge.size - 1 - middle))
     around = slice(max(0, first + k - reach), first + k + reach + 2)
     fall = np.nan_to_num(share[around]) / level
-    place = np.arange(around.start, around.start + fall.size) - (first + float(middle))
-    moment = 2.0 * float(np.sum(place * (fall - (place < 0.0))))  # second moment about the middle, by parts
+    offset = np.arange(around.start, around.start + fall.size) - (first + float(middle))
+    moment = 2.0 * float(np.sum(offset * (fall - (offset < 0.0))))  # second moment about the middle, by parts
     return first + float(middle), max(moment, 0.0) / rate**2, begin, end
 
 

@@ -123,22 +123,22 @@ def model_readings(
     reason: str = NO_UNCERTAINTY
     if draws >= 2:
         try:
-            found = _draws(analysis, engine, force, course, local is None, draws, seed, progress)
-            found = found[np.isfinite(found[:, : response.size]).any(axis=1)]
-            std = np.asarray(_from_rest(found[:, : response.size], course).std(axis=0, ddof=1))
-            rows = np.array([read_points(row, course).values for row in found[:, : response.size]])
+            drawn = _draws(analysis, engine, force, course, local is None, draws, seed, progress)
+            drawn = drawn[np.isfinite(drawn[:, : response.size]).any(axis=1)]
+            std = np.asarray(_from_rest(drawn[:, : response.size], course).std(axis=0, ddof=1))
+            rows = np.array([read_points(row, course).values for row in drawn[:, : response.size]])
             covariance = np.cov(rows, rowvar=False)
-            tapped = found[:, response.size :]
+            tapped = drawn[:, response.size :]
         except UnusableInputError as error:
             reason = Message("readings.no_draws", "the uncertainty is not known: {reason}", reason=error.message)
     points = StepPoints(points.values, covariance, points.times_s, points.reasons, reason)
     step = step_readings(points, direction=math.copysign(1.0, course.step_n))
     if creep := _no_creep(model, course):
         step = tuple(
-            one
-            if one.definition.name in _WITHOUT_CREEP
-            else replace(one, found=None, reason=one.reason if one.found is None else creep)
-            for one in step
+            reading
+            if reading.definition.name in _WITHOUT_CREEP
+            else replace(reading, estimate=None, reason=reading.reason if reading.estimate is None else creep)
+            for reading in step
         )
     decay = system_decay(local) if local is not None else _simulated_decay(model, record, tapped)
     time: Array = (np.arange(response.size, dtype=np.float64) - course.cycles[0].rise) / course.sample_rate_hz
@@ -159,8 +159,8 @@ def _simulated(model: Model, force: Array, course: StepCourse) -> Array:
         UnusableInputError: the simulation has no value.
     """
     lead = model.memory_samples + round(_SETTLING_S * course.sample_rate_hz)
-    known = np.isfinite(force)
-    filled = np.interp(np.arange(force.size), np.flatnonzero(known), force[known])
+    received = np.isfinite(force)
+    filled = np.interp(np.arange(force.size), np.flatnonzero(received), force[received])
     response = model.simulate(np.concatenate([np.full(lead, course.low_n), filled]))[lead:]
     if not np.isfinite(response).all():
         raise UnusableInputError("readings.no_simulation", "the model cannot be simulated for this step")
@@ -222,11 +222,13 @@ def local_system(model: Model) -> LocalSystem | None:
     its decay is simulated.
     """
     if isinstance(model, DpnModel):
-        known = model.known
-        place = float(np.median(known.position))
-        here = np.array([place])
-        figures = [float(band.value[0]) for band in (known.mass(here), known.damping(here), known.stiffness(here))]
-        covariance = known.log_covariance(place)
+        estimated = model.known
+        position = float(np.median(estimated.position))
+        here = np.array([position])
+        figures = [
+            float(band.value[0]) for band in (estimated.mass(here), estimated.damping(here), estimated.stiffness(here))
+        ]
+        covariance = estimated.log_covariance(position)
         return LocalSystem(SecondOrder(*figures), covariance if np.isfinite(covariance).all() else None)
     fitted = getattr(model, "second_order", None)
     if not isinstance(fitted, SecondOrderFit):
@@ -298,9 +300,9 @@ def _parametric_draws(
     rows = []
     for done, theta in enumerate(rng.multivariate_normal(curves.theta, covariance, draws, method="svd")):
         drawn = curves.with_theta(theta)
-        known = replace(model.known, curves=drawn)
+        estimated = replace(model.known, curves=drawn)
         rest = drawn.tables.rest(model.input_mean)
-        rows.append(statistic(replace(model, known=known, rest_position=rest)))
+        rows.append(statistic(replace(model, known=estimated, rest_position=rest)))
         if progress is not None:
             progress(done + 1, draws)
     return np.array(rows)
@@ -325,8 +327,8 @@ def _tap(model: Model, record: Record) -> Array:
     mass = model.report.parameters.get("mass_kg")
     time: Array = (np.arange(moved.size, dtype=np.float64) + 0.5 - 0.5 * width) / rate
     acceleration = np.gradient(np.gradient(moved, 1.0 / rate), 1.0 / rate)
-    found = trace_figures(time, moved, acceleration, math.nan if mass is None else mass.value)
-    return np.array([found[one.name] for one in DECAY_DEFINITIONS])
+    figures = trace_figures(time, moved, acceleration, math.nan if mass is None else mass.value)
+    return np.array([figures[definition.name] for definition in DECAY_DEFINITIONS])
 
 
 def _simulated_decay(model: Model, record: Record, draws: Array) -> tuple[Reading, ...]:
@@ -395,9 +397,11 @@ class DeviceReadings:
 
     def rows(self) -> list[tuple[Reading, Reading]]:
         """Return each reading of the recorded step and of the model, with a reason where a part is missing."""
-        definitions = [one[0] for one in DEFINITIONS] + list(DECAY_DEFINITIONS)
+        definitions = [row[0] for row in DEFINITIONS] + list(DECAY_DEFINITIONS)
         recorded, model = (
-            [Reading(one, None, why) for one in definitions] if part is None else [*part.step, *part.decay]
+            [Reading(definition, None, why) for definition in definitions]
+            if part is None
+            else [*part.step, *part.decay]
             for part, why in ((self.recorded, self.no_recorded), (self.model, self.no_model))
         )
         return list(zip(recorded, model, strict=True))
@@ -418,14 +422,14 @@ class DeviceReadings:
             },
             "recorded": {
                 "test": None if recorded is None else recorded.test.number,
-                "readings": as_answer(one for one, _ in rows),
+                "readings": as_answer(reading for reading, _ in rows),
             },
             "model": {
                 "engine": None if analysis is None else analysis.model.report.engine,
                 "options": None if analysis is None else analysis.model.report.options,
                 "test": None if analysis is None else analysis.test,
                 "vaf_validation_percent": None if analysis is None else analysis.model.report.vaf_validation_percent,
-                "readings": as_answer(one for _, one in rows),
+                "readings": as_answer(reading for _, reading in rows),
             },
             "notes": [str(note) for note in self.notes],
             "note_messages": [stored(note) for note in self.notes],
@@ -449,7 +453,7 @@ def recorded_readings(test: Test) -> RecordedReadings:
         decay = release.readings
     except UnusableInputError as error:
         reason = error.message
-        decay = tuple(Reading(one, None, reason) for one in DECAY_DEFINITIONS)
+        decay = tuple(Reading(definition, None, reason) for definition in DECAY_DEFINITIONS)
     start = points.values[0] if math.isfinite(points.values[0]) else float(np.nanmean(record.output[:10]))
     return RecordedReadings(
         test=test,
@@ -530,9 +534,9 @@ def _resampled(test: Test, rate: float) -> Array:
     record = test.record()
     if math.isclose(record.sample_rate_hz, rate, rel_tol=1e-6):
         return record.input
-    known = np.isfinite(record.input)
+    received = np.isfinite(record.input)
     times = np.arange(int(len(record) * rate / record.sample_rate_hz)) / rate
-    return np.asarray(np.interp(times, record.time[known], record.input[known]), dtype=np.float64)
+    return np.asarray(np.interp(times, record.time[received], record.input[received]), dtype=np.float64)
 
 
 def _standard_step(analysis: Analysis) -> Array:

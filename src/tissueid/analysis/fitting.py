@@ -158,9 +158,9 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     Raises:
         UnusableInputError: the record cannot carry the fit.
     """
-    known = specification.with_test_values(parts.surface_position_m, parts.weight_n)
-    model, seconds = timed_fit(known, parts.record, parts.fit_part)
-    model = _with_test_values(model, specification, known, parts.weight_n)
+    completed = specification.with_test_values(parts.surface_position_m, parts.weight_n)
+    model, seconds = timed_fit(completed, parts.record, parts.fit_part)
+    model = _with_test_values(model, specification, completed, parts.weight_n)
     with _engine_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
     model = model if parts.scorable else model.without_validation()
@@ -402,7 +402,7 @@ def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
             for a, (_, other) in zip(analyses, simulated, strict=True)
         ]
     )
-    found = []
+    rows = []
     for k, analysis in enumerate(analyses):
         report, (own, other) = analysis.model.report, simulated[k]
         parameters = effective_parameters(report)
@@ -420,13 +420,13 @@ def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
         )
         model = model if parts.scorable else model.without_validation()
         own_samples = fitted_own[k] or held_out_own[k]
-        found.append(Scored(replace(analysis, model=model), parameters, own_samples, residual, error))
-    return found
+        rows.append(Scored(replace(analysis, model=model), parameters, own_samples, residual, error))
+    return rows
 
 
 def candidates(rows: Sequence[Scored], families: Sequence[Family], parts: Split) -> list[ModelCandidate]:
     """Return the candidates of a recommendation: every model, and the second-order system of the best linear one."""
-    found = [
+    contenders = [
         ModelCandidate(
             engine=row.analysis.model.report.engine,
             family=family,
@@ -444,7 +444,7 @@ def candidates(rows: Sequence[Scored], families: Sequence[Family], parts: Split)
         if family is Family.LINEAR and isinstance(row.analysis.model, Reducible)
     ]
     best = max(linear, key=lambda row: row.analysis.model.report.vaf_percent, default=None)
-    return found if best is None else [*found, _second_order(best, parts)]
+    return contenders if best is None else [*contenders, _second_order(best, parts)]
 
 
 def _second_order(row: Scored, parts: Split) -> ModelCandidate:
@@ -499,6 +499,6 @@ def scheduled_scores(analysis: Analysis) -> tuple[float | None, float | None]:
     if run is None:
         return None, None
     residual = (record.output - run)[analysis.fit_part]
-    known = np.isfinite(residual)
-    measured = record.output[analysis.fit_part][known]
-    return vaf_percent(measured, measured - residual[known]), aicc(residual, model.report.n_parameters)
+    finite = np.isfinite(residual)
+    measured = record.output[analysis.fit_part][finite]
+    return vaf_percent(measured, measured - residual[finite]), aicc(residual, model.report.n_parameters)

@@ -132,9 +132,9 @@ def overlay(
         raise UnusableInputError(
             "compare.no_such_option", "none of these engines has an option '{option}'", option=Verbatim(option)
         )
-    known = {fit.label for fit in fits}
+    fit_labels = {fit.label for fit in fits}
     for source in sources:
-        if unknown := [label for label in source.fits if label not in known]:
+        if unknown := [label for label in source.fits if label not in fit_labels]:
             raise UnusableInputError(
                 "overlay.unknown_fit", "there is no fit '{name}' among the fits", name=Verbatim(unknown[0])
             )
@@ -142,8 +142,8 @@ def overlay(
     refused: list[str] = []
     records: dict[str, Record] = {}
     jobs = [(s, f) for s in sources for f in fits if not s.fits or f.label in s.fits]
-    for place, (source, fit) in enumerate(jobs):
-        progress(f"{source.label}, {fit.label}", place / len(jobs))
+    for index, (source, fit) in enumerate(jobs):
+        progress(f"{source.label}, {fit.label}", index / len(jobs))
         parts = _parts(source, downsample, input_name, output_name)
         records.setdefault(source.label, parts.records[0])
         for engine, value in _swept(fit.engine, option, values):
@@ -207,15 +207,15 @@ def linear_row(analysis: Analysis) -> DepthProfile | None:
 
     A series of small tests about several loads gives the localized linear parameters (Chen 2010, 3.4).
     """
-    record, found = analysis.record[analysis.fit_part], analysis.model.report.reportable_parameters
-    if (record.output_unit, record.input_unit) != ("m", "N") or not all(name in found for name in _SYSTEM):
+    record, parameters = analysis.record[analysis.fit_part], analysis.model.report.reportable_parameters
+    if (record.output_unit, record.input_unit) != ("m", "N") or not all(name in parameters for name in _SYSTEM):
         return None
     output = record.output[np.isfinite(record.output)]
     ends = np.quantile(output, _ENDS)
     columns: dict[str, Any] = {}
     for name, key in zip(_SYSTEM, ("mass", "damping", "stiffness"), strict=True):
-        std = found[name].std
-        columns |= {key: np.array([found[name].value]), f"{key}_std": np.array([np.nan if std is None else std])}
+        std = parameters[name].std
+        columns |= {key: np.array([parameters[name].value]), f"{key}_std": np.array([np.nan if std is None else std])}
     return DepthProfile(
         position=np.array([float(output.mean())]),
         low=ends[:1],
@@ -228,20 +228,23 @@ def linear_row(analysis: Analysis) -> DepthProfile | None:
 
 def joined_profile(rows: Sequence[DepthProfile]) -> DepthProfile:
     """Return profiles as one, in the order of position."""
-    order = np.argsort(np.concatenate([one.position for one in rows]), kind="stable")
+    order = np.argsort(np.concatenate([profile.position for profile in rows]), kind="stable")
     return DepthProfile(
-        **{name.name: np.concatenate([getattr(one, name.name) for one in rows])[order] for name in fields(DepthProfile)}
+        **{
+            name.name: np.concatenate([getattr(profile, name.name) for profile in rows])[order]
+            for name in fields(DepthProfile)
+        }
     )
 
 
-def series_profiles(found: Overlay, *, from_surface: bool = False) -> dict[tuple[str, str], DepthProfile]:
+def series_profiles(overlay: Overlay, *, from_surface: bool = False) -> dict[tuple[str, str], DepthProfile]:
     """Return the profile of each series, by source and fit.
 
     The single rows of linear tests with the same source label and fit are joined; other entries are one series each,
     which are numbered where their labels are the same. ``from_surface`` counts positions from the surface of each test.
     """
     made: dict[tuple[str, str], DepthProfile] = {}
-    for entry in found.entries:
+    for entry in overlay.entries:
         profile = entry.profile
         if profile is None or not np.isfinite(profile.stiffness).any():
             continue
@@ -292,7 +295,7 @@ def quantity_label(name: str) -> tuple[str, str]:
     return (SCORES[name], "%") if name in SCORES else label_and_unit(name)
 
 
-def repeated_values(found: Overlay) -> tuple[RepeatedValue, ...]:
+def repeated_values(overlay: Overlay) -> tuple[RepeatedValue, ...]:
     """Return mean and standard deviation of every score and parameter over the tests of each source label.
 
     Chen 2010, Table 3.1. A parameter of a fit that predicts nothing is left out. Fits with different models of one
@@ -300,9 +303,9 @@ def repeated_values(found: Overlay) -> tuple[RepeatedValue, ...]:
     """
     columns: dict[tuple[str, str, str], list[float]] = {}
     models: dict[tuple[str, str], set[str]] = {}
-    for entry in found.entries:
+    for entry in overlay.entries:
         models.setdefault((entry.source, entry.fit.label), set()).add(entry.analysis.model.report.model)
-    for entry in found.entries:
+    for entry in overlay.entries:
         several = len(models[entry.source, entry.fit.label]) > 1
         model = entry.analysis.model.report.model if several else ""
         label = f"{entry.fit.label} ({model})" if model else entry.fit.label
@@ -310,10 +313,10 @@ def repeated_values(found: Overlay) -> tuple[RepeatedValue, ...]:
             columns.setdefault((entry.source, label, quantity), []).append(value.value)
     made = []
     for (source, fit, quantity), values in columns.items():
-        known = np.array([value for value in values if np.isfinite(value)])
-        if known.size:
-            std = float(known.std(ddof=1)) if known.size > 1 else float("nan")
-            made.append(RepeatedValue(source, fit, quantity, int(known.size), float(known.mean()), std))
+        finite = np.array([value for value in values if np.isfinite(value)])
+        if finite.size:
+            std = float(finite.std(ddof=1)) if finite.size > 1 else float("nan")
+            made.append(RepeatedValue(source, fit, quantity, int(finite.size), float(finite.mean()), std))
     return tuple(made)
 
 
@@ -321,8 +324,8 @@ def quantities(entry: OverlayEntry) -> dict[str, Estimate]:
     """Return scores and parameters of an entry by name, SI."""
     report = entry.analysis.model.report
     scores = {name: getattr(report, name) for name in SCORES}
-    known = {name: Estimate(float(value)) for name, value in scores.items() if value is not None}
-    return known | report.reportable_parameters
+    estimates = {name: Estimate(float(value)) for name, value in scores.items() if value is not None}
+    return estimates | report.reportable_parameters
 
 
 __all__ = [

@@ -63,13 +63,13 @@ class Actuator:
         The deviation combines those of the fit and of the actuator, which are independent; None without that of the
         fit.
         """
-        found = {}
+        remainders = {}
         for name, new in TISSUE_NAMES.items():
             if name in parameters:
                 total, own = parameters[name], self.mass if name == "mass_kg" else self.damping
                 std = None if total.std is None else math.hypot(total.std, own.std or 0.0)
-                found[new] = Estimate(total.value - own.value, std)
-        return found
+                remainders[new] = Estimate(total.value - own.value, std)
+        return remainders
 
     def without(self, profile: DepthProfile) -> DepthProfile:
         """Return a depth profile with mass and damping of the tissue alone."""
@@ -269,13 +269,13 @@ def split(
         )
     else:
         parts = split_records(records, numbers)
-    known = (input_name, output_name) == ("force", "position") and {"force", "position"} <= first.signals.keys()
+    mechanical = (input_name, output_name) == ("force", "position") and {"force", "position"} <= first.signals.keys()
     return replace(
         parts,
         external_spring_n_per_m=spring,
         configuration=first.configuration,
-        surface_position_m=_common_surface(tests) if known else None,
-        weight_n=_common_weight(tests, session.instrument) if known else None,
+        surface_position_m=_common_surface(tests) if mechanical else None,
+        weight_n=_common_weight(tests, session.instrument) if mechanical else None,
         coil=Coil.of(session.instrument) if (input_name, output_name) == ("voltage", "position") else None,
     )
 
@@ -293,10 +293,10 @@ def _common_weight(tests: Sequence[Test], device: DeviceDescription) -> float | 
     in one of them, or differs.
     """
     along = [test.notes.get(_GRAVITY_NOTE) for test in tests if _MEASURED_NOTE in test.notes]
-    known = [value for value in along if isinstance(value, float) and abs(value) < _LARGEST_GRAVITY * GRAVITY_M_S2]
-    if len(known) < len(tests) or np.ptp(known) > _SAME_GRAVITY_M_S2:
+    measured = [value for value in along if isinstance(value, float) and abs(value) < _LARGEST_GRAVITY * GRAVITY_M_S2]
+    if len(measured) < len(tests) or np.ptp(measured) > _SAME_GRAVITY_M_S2:
         return None
-    return device.weight_n(float(np.mean(known)))
+    return device.weight_n(float(np.mean(measured)))
 
 
 def _common_spring(tests: Sequence[Test]) -> float:
@@ -360,7 +360,7 @@ def _hold_out(records: Sequence[Record], quarter: int, tests: tuple[int, ...]) -
     for record in records:
         hidden = np.zeros(len(record), dtype=np.bool_)
         stretches = _stretches(record)
-        quarters = tuple(_quarter_within(one, quarter) for one in stretches)
+        quarters = tuple(_quarter_within(stretch, quarter) for stretch in stretches)
         for first, end in quarters:
             hidden[first:end] = True
         if len(stretches) > 1:  # stays in one piece: the engines see by which steps its levels were reached
@@ -383,8 +383,8 @@ def _stretches(record: Record) -> list[tuple[int, int]]:
     hold; else the whole record.
     """
     whole = [(0, len(record))]
-    stretches = [(one.first, one.end) for one in localized_levels(record)] or whole
-    held_out = np.concatenate([record.output[slice(*_quarter_within(one, QUARTERS - 1))] for one in stretches])
+    stretches = [(level.first, level.end) for level in localized_levels(record)] or whole
+    held_out = np.concatenate([record.output[slice(*_quarter_within(stretch, QUARTERS - 1))] for stretch in stretches])
     if np.isfinite(held_out).any() and np.nanvar(held_out) < _LEAST_VARIANCE * np.nanvar(record.output):
         edges = np.linspace(0, len(record), _STRETCHES + 1).round().astype(int).tolist()
         return list(pairwise(edges))

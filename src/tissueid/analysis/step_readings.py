@@ -41,18 +41,18 @@ class Definition:
 class Reading:
     """A reading in SI units.
 
-    ``found`` is None where there is no value; its ``std`` is None where the uncertainty is unknown. ``reason`` says why
-    in both cases.
+    ``estimate`` is None where there is no value; its ``std`` is None where the uncertainty is unknown. ``reason`` says
+    why in both cases.
     """
 
     definition: Definition
-    found: Estimate | None
+    estimate: Estimate | None
     reason: str = ""
 
     @property
     def value(self) -> float | None:
         """The value, SI; None if there is none."""
-        return None if self.found is None else self.found.value
+        return None if self.estimate is None else self.estimate.value
 
     def as_dict(self) -> dict[str, Any]:
         """Return symbol, unit, value, standard deviation and reason for JSON."""
@@ -60,7 +60,7 @@ class Reading:
             "symbol": self.definition.symbol,
             "unit": self.definition.si_unit,
             "value": self.value,
-            "std": None if self.found is None else self.found.std,
+            "std": None if self.estimate is None else self.estimate.std,
             "reason": str(self.reason) or None,
             "reason_message": stored(self.reason) if self.reason else None,
         }
@@ -171,10 +171,10 @@ def _filled(force: Array) -> Array:
     Raises:
         UnusableInputError: fewer than half of the samples were received.
     """
-    known = np.isfinite(force)
-    if np.mean(known) < 0.5:
+    received = np.isfinite(force)
+    if np.mean(received) < 0.5:
         raise UnusableInputError("readings.no_samples", "fewer than half of the samples were received")
-    return np.interp(np.arange(force.size), np.flatnonzero(known), force[known])
+    return np.interp(np.arange(force.size), np.flatnonzero(received), force[received])
 
 
 def _smooth(share: Array, sample_rate_hz: float) -> Array:
@@ -186,7 +186,7 @@ def _smooth(share: Array, sample_rate_hz: float) -> Array:
 def _cycles(share: Array, rate: float) -> list[StepCycle]:
     """Return the cycles of a smoothed force (n,), relative to the step."""
     ups, downs = _edges(share)
-    found = []
+    cycles = []
     for number, (start, top) in enumerate(ups):
         following = share.size - 1
         if number + 1 < len(ups):
@@ -202,8 +202,8 @@ def _cycles(share: Array, rate: float) -> list[StepCycle]:
             )
         else:
             release, release_s, hold_end = float("nan"), float("nan"), following
-        found.append(StepCycle(rise, hold_end, release, following, (top - start) / rate, release_s))
-    return found
+        cycles.append(StepCycle(rise, hold_end, release, following, (top - start) / rate, release_s))
+    return cycles
 
 
 def _before(start: int, end: int, rate: float) -> int:
@@ -320,17 +320,17 @@ def read_points(position: Array, course: StepCourse) -> StepPoints:
         places["elastic"] = _too_short()
     values, times, reasons = np.full(len(POINTS), np.nan), np.full(len(POINTS), np.nan), [""] * len(POINTS)
     for k, name in enumerate(POINTS):
-        place = places[name]
-        if isinstance(place, str):
-            reasons[k] = place
+        interval = places[name]
+        if isinstance(interval, str):
+            reasons[k] = interval
             continue
-        begin, end = max(0, math.ceil(place[0])), min(position.size, math.floor(place[1]) + 1)
+        begin, end = max(0, math.ceil(interval[0])), min(position.size, math.floor(interval[1]) + 1)
         part = position[begin:end]
-        known = part[np.isfinite(part)]
-        if known.size < max(1, 0.5 * part.size):
+        received = part[np.isfinite(part)]
+        if received.size < max(1, 0.5 * part.size):
             reasons[k] = Message("readings.not_received", "the samples at this time were not received")
             continue
-        values[k], times[k] = float(known.mean()), 0.5 * (begin + end - 1) / rate
+        values[k], times[k] = float(received.mean()), 0.5 * (begin + end - 1) / rate
     unknown = np.full((len(POINTS), len(POINTS)), np.nan)
     return StepPoints(values, unknown, times, tuple(reasons), NO_UNCERTAINTY)
 
@@ -420,7 +420,7 @@ def recorded_points(position: Array, course: StepCourse) -> StepPoints:
 
 def step_readings(points: StepPoints, *, direction: float = 1.0) -> tuple[Reading, ...]:
     """Return all readings of the positions; ``direction`` is -1 for a step to a lower force."""
-    return tuple(_reading(points, direction, *one) for one in DEFINITIONS)
+    return tuple(_reading(points, direction, *row) for row in DEFINITIONS)
 
 
 def _reading(
@@ -439,8 +439,8 @@ def _reading(
             return Reading(definition, None, _NOTHING_BELOW)
         n = n / d
         slopes = (top - n * bottom) / d
-    found = estimate(n, _variance(slopes, points.covariance))
-    return Reading(definition, found, "" if found.std is not None else points.no_covariance)
+    estimated = estimate(n, _variance(slopes, points.covariance))
+    return Reading(definition, estimated, "" if estimated.std is not None else points.no_covariance)
 
 
 _NOTHING_BELOW = Message("readings.no_denominator", "the displacement that it is divided by is within the noise")

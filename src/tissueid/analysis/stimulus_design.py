@@ -182,27 +182,27 @@ class StimulusDesign:
             yield marked("Detection lines"), str(detection.size) if detection.size else marked("none")
 
 
-def _check_rows(found: StimulusCheck) -> Iterator[Row]:
-    yield marked("Length"), with_unit(fixed(found.seconds, 2), "s")
-    yield marked("Range of force"), _range(found.force_min_n, found.force_max_n, 2, "N")
-    yield marked("Command, coil at rest"), _range(found.voltage_min_v, found.voltage_max_v, 1, "V")
-    yield marked("Mean and standard deviation"), f"{fixed(found.force_mean_n, 2)} N, {fixed(found.force_std_n, 2)} N"
-    yield marked("Crest factor"), fixed(found.crest_factor, 2)
+def _check_rows(check: StimulusCheck) -> Iterator[Row]:
+    yield marked("Length"), with_unit(fixed(check.seconds, 2), "s")
+    yield marked("Range of force"), _range(check.force_min_n, check.force_max_n, 2, "N")
+    yield marked("Command, coil at rest"), _range(check.voltage_min_v, check.voltage_max_v, 1, "V")
+    yield marked("Mean and standard deviation"), f"{fixed(check.force_mean_n, 2)} N, {fixed(check.force_std_n, 2)} N"
+    yield marked("Crest factor"), fixed(check.crest_factor, 2)
     yield (
         marked("95 % and 99 % of the power below"),
-        f"{fixed(found.power_95_hz, 0)} Hz, {fixed(found.power_99_hz, 0)} Hz",
+        f"{fixed(check.power_95_hz, 0)} Hz, {fixed(check.power_99_hz, 0)} Hz",
     )
     yield (
         marked("Steepest edge"),
         Message(
             "design.edge",
             "{edge} N/ms, {ratio} times that of painless noise",
-            edge=fixed(found.steepest_edge_n_per_ms, 2),
-            ratio=fixed(found.edge_ratio, 1),
+            edge=fixed(check.steepest_edge_n_per_ms, 2),
+            ratio=fixed(check.edge_ratio, 1),
         ),
     )
-    yield marked("Current, rms and peak"), f"{fixed(found.rms_current_a, 2)} A, {fixed(found.peak_current_a, 2)} A"
-    warmth = found.heating
+    yield marked("Current, rms and peak"), f"{fixed(check.rms_current_a, 2)} A, {fixed(check.peak_current_a, 2)} A"
+    warmth = check.heating
     yield (
         marked("Heating of the coil"),
         Message(

@@ -81,9 +81,9 @@ def _readings(test: Test) -> str:
         return sentence(translated(error.message))
     shown = []
     for one in (*found.step, *found.decay):
-        if one.definition.symbol in _SHOWN_READINGS and one.found is not None:
+        if one.definition.symbol in _SHOWN_READINGS and one.estimate is not None:
             unit, scale = display_unit(one.definition.si_unit)
-            shown.append(f"{one.definition.symbol} {plus_minus(one.found, scale)} {unit}".rstrip())
+            shown.append(f"{one.definition.symbol} {plus_minus(one.estimate, scale)} {unit}".rstrip())
     return "\n".join(
         [
             _("Readings for comparison with other probes: {readings}.").format(readings="; ".join(shown)),

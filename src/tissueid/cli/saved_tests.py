@@ -216,7 +216,7 @@ def print_readings(plan: ReadingsPlan, out: Output) -> None:
         definition = recorded.definition
         unit, scale = display_unit(definition.si_unit)
         marks = [str(reasons.setdefault(one.reason, len(reasons) + 1)) for one in (recorded, model) if one.reason]
-        found_values = [one.found for one in (recorded, model)]
+        found_values = [one.estimate for one in (recorded, model)]
         cells = [MISSING if value is None else plus_minus(value, scale) for value in found_values]
         rows.add_row(definition.symbol, str(definition.meaning), *cells, unit, ",".join(dict.fromkeys(marks)))
     out.print(rows)

@@ -177,7 +177,7 @@ def readings_table(rows: Sequence[tuple[Reading, Reading]]) -> Table:
 
 def _cell(reading: Reading, scale: float, reasons: dict[str, int]) -> str:
     """Return the value of a reading, with the number of its reason in brackets."""
-    text = MISSING if reading.found is None else plus_minus(reading.found, scale)
+    text = MISSING if reading.estimate is None else plus_minus(reading.estimate, scale)
     if not reading.reason:
         return text
     return f"{text} ({reasons.setdefault(reading.reason, len(reasons) + 1)})"

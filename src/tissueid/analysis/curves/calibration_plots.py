@@ -45,39 +45,39 @@ REPEATED = ("coil_resistance_ohm", "force_constant_n_per_a", "voltage_gain", "po
 """Quantities of a static calibration whose repeatability is shown."""
 
 
-def residual_plot(found: Residuals) -> Plot:
+def residual_plot(residuals: Residuals) -> Plot:
     """Return the residuals of a line of a static calibration; crosses are outliers."""
-    y_unit, y_scale = fine_unit(found.y_unit)
-    y = y_scale * found.y
+    y_unit, y_scale = fine_unit(residuals.y_unit)
+    y = y_scale * residuals.y
     reach = 1.15 * max(float(np.abs(y).max(initial=0.0)), 1e-6)
     up = Axis(marked("Residual"), y_unit, limits=(-reach, reach), zero=True)
-    return Plot(found.label, _across(found), up, tuple(_kept_and_outliers(found, y)))
+    return Plot(residuals.label, _across(residuals), up, tuple(_kept_and_outliers(residuals, y)))
 
 
-def line_plots(found: Residuals) -> tuple[Plot, Plot]:
+def line_plots(residuals: Residuals) -> tuple[Plot, Plot]:
     """Return a line of a static calibration with the readings that it was fitted to, and their residuals.
 
     Raises:
         UnusableInputError: the calibration does not contain the readings.
     """
-    if found.reading is None:
+    if residuals.reading is None:
         raise UnusableInputError("report.no_readings", "the calibration holds no readings of this line")
-    x_scale, (y_unit, y_scale) = display_unit(found.x_unit)[1], display_unit(found.y_unit)
-    ends = [int(np.argmin(found.x)), int(np.argmax(found.x))]
-    line = Curve(x_scale * found.x[ends], y_scale * (found.reading - found.y)[ends], "", "muted", width=0.8)
-    points = _kept_and_outliers(found, y_scale * found.reading)
-    left = Plot("", _across(found), Axis(found.quantities[1], y_unit), (line, *points))
-    return left, replace(residual_plot(found), title="")
+    x_scale, (y_unit, y_scale) = display_unit(residuals.x_unit)[1], display_unit(residuals.y_unit)
+    ends = [int(np.argmin(residuals.x)), int(np.argmax(residuals.x))]
+    line = Curve(x_scale * residuals.x[ends], y_scale * (residuals.reading - residuals.y)[ends], "", "muted", width=0.8)
+    points = _kept_and_outliers(residuals, y_scale * residuals.reading)
+    readings = Plot("", _across(residuals), Axis(residuals.quantities[1], y_unit), (line, *points))
+    return readings, replace(residual_plot(residuals), title="")
 
 
-def _across(found: Residuals) -> Axis:
-    return Axis(found.quantities[0], display_unit(found.x_unit)[0])
+def _across(residuals: Residuals) -> Axis:
+    return Axis(residuals.quantities[0], display_unit(residuals.x_unit)[0])
 
 
-def _kept_and_outliers(found: Residuals, y: Array) -> list[Curve]:
+def _kept_and_outliers(residuals: Residuals, y: Array) -> list[Curve]:
     """Return values (n,) of a line as points, and as crosses where they are outliers."""
-    x = display_unit(found.x_unit)[1] * found.x
-    out = np.zeros(x.size, dtype=np.bool_) if found.outlier is None else found.outlier
+    x = display_unit(residuals.x_unit)[1] * residuals.x
+    out = np.zeros(x.size, dtype=np.bool_) if residuals.outlier is None else residuals.outlier
     points = [Curve(x[~out], y[~out], kind="points", width=2.0)]
     return [*points, Curve(x[out], y[out], "", "poor", "points", width=1.5, marker="X")] if out.any() else points
 
@@ -94,17 +94,17 @@ def static_repeat_plot(columns: Mapping[str, Array]) -> Plot:
     return Plot("", run, Axis(marked("From the mean"), "%", zero=True), tuple(curves))
 
 
-def trend_plot(found: Trend, now: datetime) -> Plot:
+def trend_plot(trend: Trend, now: datetime) -> Plot:
     """Return a figure of calibrations over the days before ``now``, with one standard deviation."""
-    unit, scale = unit_of_quantity(found.name, CalibratedQuantity(value=float(found.value[-1]), unit=found.unit))
-    days = np.array([(made - now).total_seconds() / 86400.0 for made in found.dates])
-    value, std = scale * found.value, np.nan_to_num(scale * found.std)
+    unit, scale = unit_of_quantity(trend.name, CalibratedQuantity(value=float(trend.value[-1]), unit=trend.unit))
+    days = np.array([(made - now).total_seconds() / 86400.0 for made in trend.dates])
+    value, std = scale * trend.value, np.nan_to_num(scale * trend.std)
     low, high = float((value - std).min()), float((value + std).max())
     margin = max(0.15 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-9)
     first, last = min(-1.0, float(days.min())), max(0.0, float(days.max()))
     room = 0.04 * (last - first)
     return Plot(
-        Message("plot.trend", "{name} by date", name=label_of(found.name)),
+        Message("plot.trend", "{name} by date", name=label_of(trend.name)),
         Axis(marked("Days from today"), limits=(first - room, last + room)),
         Axis("", clean(unit), limits=(low - margin, high + margin)),
         (
@@ -216,8 +216,8 @@ def force_constant_plots(profile: Columns, sweep: Columns, region: Region) -> tu
     )
     for method, name, colour, kind in methods:
         if f"{method}_n_per_a" in profile:
-            found, reach = profile[f"{method}_n_per_a"], CONFIDENCE * profile[f"{method}_std_n_per_a"]
-            curve = Curve(position, found, name, colour, kind, found - reach, found + reach)
+            constant, reach = profile[f"{method}_n_per_a"], CONFIDENCE * profile[f"{method}_std_n_per_a"]
+            curve = Curve(position, constant, name, colour, kind, constant - reach, constant + reach)
             above.append(curve)
             below.append(_relative(curve, value))
     if "force_constant_n_per_a" in sweep:
@@ -239,7 +239,7 @@ def _relative(curve: Curve, value: Array) -> Curve:
     """Return a curve with its band relative to values (n,), as a deviation in percent."""
     assert curve.low is not None
     assert curve.high is not None
-    y, *ends = (100.0 * (one / value - 1.0) for one in (curve.y, curve.low, curve.high))
+    y, *ends = (100.0 * (ordinate / value - 1.0) for ordinate in (curve.y, curve.low, curve.high))
     return replace(curve, y=y, low=np.minimum(*ends), high=np.maximum(*ends), name="")
 
 
@@ -253,10 +253,10 @@ def bode_plots(response: Columns, sweep: Columns) -> tuple[Plot, Plot, Plot]:
     ends = float(response["frequency_hz"].min()), float(response["frequency_hz"].max())
     fit_hz = np.geomspace(*ends, _FIT_POINTS)
     above, middle, below = list[Curve](), list[Curve](), list[Curve]()
-    for place, role in zip(places, depth_roles(places.size), strict=True):
-        rows = response["position_m"] == place
+    for position_m, role in zip(places, depth_roles(places.size), strict=True):
+        rows = response["position_m"] == position_m
         hz, compliance = response["frequency_hz"][rows], response["compliance_m_per_n"][rows]
-        row = int(np.argmin(np.abs(sweep["position_m"] - place)))
+        row = int(np.argmin(np.abs(sweep["position_m"] - position_m)))
         system = SecondOrder(*(float(sweep[n][row]) for n in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")))
         fitted = system.frequency_response(fit_hz)
         phase, measured = np.degrees(np.unwrap(np.angle(fitted))), np.degrees(response["phase_rad"][rows])

@@ -53,9 +53,9 @@ class HasImpulseResponse(Protocol):
     lag_s: Array
 
 
-def score_plots(found: EngineComparison) -> tuple[Plot, Plot]:
+def score_plots(comparison: EngineComparison) -> tuple[Plot, Plot]:
     """Return VAF, fitted and held out, with the limit set by repeats, and AICc; a row for each engine, best on top."""
-    rows = sorted((entry.scored for entry in found.entries if entry.scored is not None), key=_held_out)
+    rows = sorted((entry.scored for entry in comparison.entries if entry.scored is not None), key=_held_out)
     reports = [row.analysis.model.report for row in rows]
     places = np.arange(len(rows), dtype=np.float64)
     fitted, unseen = np.array([r.vaf_percent for r in reports]), np.array([_held_out(row) for row in rows])
@@ -71,8 +71,8 @@ def score_plots(found: EngineComparison) -> tuple[Plot, Plot]:
         name = marked("held out, scheduled")
         parts.append(Curve(scheduled, places + 0.22, name, "model", "circles", width=1.4, marker="D"))
     everything = np.concatenate([fitted, unseen, scheduled])
-    if found.ceiling is not None:
-        best, name = found.ceiling.vaf_percent, Message("compare.ceiling", "limit set by repeats")
+    if comparison.ceiling is not None:
+        best, name = comparison.ceiling.vaf_percent, Message("compare.ceiling", "limit set by repeats")
         at = np.array([best.value])
         parts.append(Curve(at, np.zeros(1), name, "good", "position"))
         if best.std is not None:
@@ -82,7 +82,7 @@ def score_plots(found: EngineComparison) -> tuple[Plot, Plot]:
         everything = np.append(everything, best.value)
     low = max(float(everything[np.isfinite(everything)].min()), _LOWEST_VAF)
     limits = low - 0.06 * (100.0 - low), 100.0 + 0.03 * (100.0 - low)
-    names = tuple((float(place), label_of(r.engine)) for place, r in zip(places, reports, strict=True))
+    names = tuple((float(height), label_of(r.engine)) for height, r in zip(places, reports, strict=True))
     engines = Axis(limits=(-0.6, len(rows) - 0.3), ticks=names)
     aicc = np.array([_known(row.aicc) for row in rows])
     bars: list[Curve | Surface | Bars] = []
@@ -106,21 +106,21 @@ def memory_plots(sweep: Sequence[SweepRow]) -> tuple[Plot, Plot, Plot]:
     Raises:
         UnusableInputError: the memory sweep was not run, or every engine refused it.
     """
-    found: dict[str, list[tuple[float, float, float, float]]] = {}
+    by_engine: dict[str, list[tuple[float, float, float, float]]] = {}
     for row in sweep:
         if row.analysis is not None:
             report = row.analysis.model.report
             values = _known(report.vaf_validation_percent), 1e-3 * _known(report.aicc)
-            found.setdefault(row.engine, []).append((1e3 * row.memory, report.vaf_percent, *values))
-    if not found:
+            by_engine.setdefault(row.engine, []).append((1e3 * row.memory, report.vaf_percent, *values))
+    if not by_engine:
         raise UnusableInputError(NO_MEMORY_SWEEP)
     curves: list[list[Curve]] = [[], [], []]
-    for place, (name, rows) in enumerate(found.items()):
+    for index, (name, rows) in enumerate(by_engine.items()):
         memory_ms, *columns = np.array(rows).T
-        colour, kind = ROLES[place % len(ROLES)], KINDS[(place // len(ROLES)) % len(KINDS)]
+        colour, kind = ROLES[index % len(ROLES)], KINDS[(index // len(ROLES)) % len(KINDS)]
         for panel, values in zip(curves, columns, strict=True):
             line = Curve(memory_ms, values, label_of(name), colour, kind, width=0.85)
-            panel.append(replace(line, marker=_MARKERS[place % len(_MARKERS)]))
+            panel.append(replace(line, marker=_MARKERS[index % len(_MARKERS)]))
     memory = Axis(marked("Memory"), "ms")
     fitted, unseen, aicc = (tuple(panel) for panel in curves)
     return (
@@ -130,22 +130,22 @@ def memory_plots(sweep: Sequence[SweepRow]) -> tuple[Plot, Plot, Plot]:
     )
 
 
-def response_plots(found: EngineComparison) -> tuple[Plot, Plot]:
+def response_plots(comparison: EngineComparison) -> tuple[Plot, Plot]:
     """Return impulse responses of linear engines, and the mean of measured against predicted output (Fig. 6.3).
 
     Raises:
         UnusableInputError: fewer than two engines have an impulse response.
     """
-    chosen = list(_with_impulse_response(found))
+    chosen = list(_with_impulse_response(comparison))
     if len(chosen) < 2:
         raise UnusableInputError(FEW_IMPULSE_RESPONSES)
-    record = found.split.record
+    record = comparison.split.record
     (unit, scale), out_scale = kernel_unit(record), display_unit(record.output_unit)[1]
     responses, means = [], []
-    for place, (name, model) in enumerate(chosen):
-        colour, kind = ROLES[place % len(ROLES)], KINDS[place % len(KINDS)]
+    for index, (name, model) in enumerate(chosen):
+        colour, kind = ROLES[index % len(ROLES)], KINDS[index % len(KINDS)]
         responses.append(Curve(1e3 * model.lag_s, scale * model.impulse_response, label_of(name), colour, kind))
-        run = held_out_prediction(name, found.analyses[name])
+        run = held_out_prediction(name, comparison.analyses[name])
         means.append(Curve(*running_mean(out_scale * run.predicted, out_scale * run.measured), "", colour, kind))
     measured = np.concatenate([curve.y for curve in means]) / out_scale
     right = cloud_plot(measured, measured, record.output_unit, x="predicted", mean=False)
@@ -155,9 +155,9 @@ def response_plots(found: EngineComparison) -> tuple[Plot, Plot]:
     )
 
 
-def _with_impulse_response(found: EngineComparison) -> Iterator[tuple[str, HasImpulseResponse]]:
+def _with_impulse_response(comparison: EngineComparison) -> Iterator[tuple[str, HasImpulseResponse]]:
     """Yield name and model of the engines with an impulse response."""
-    for name, analysis in found.analyses.items():
+    for name, analysis in comparison.analyses.items():
         model: Model | HasImpulseResponse = analysis.model
         if isinstance(model, HasImpulseResponse) and isinstance(model.impulse_response, np.ndarray):
             yield name, model
@@ -228,11 +228,11 @@ def points_plot(
         for (x, y), colour, name in zip(groups, colours, names, strict=False)
         if x.size
     ]
-    for place, colour in enumerate(colours):
-        own = [centre for centre in centres if centre.group == place]
+    for index, colour in enumerate(colours):
+        own = [centre for centre in centres if centre.group == index]
         if own:
-            x, y = np.array([one.x for one in own]), np.array([one.y for one in own])
-            half = np.nan_to_num(np.array([one.half for one in own]))
+            x, y = np.array([point.x for point in own]), np.array([point.y for point in own])
+            half = np.nan_to_num(np.array([point.half for point in own]))
             parts.append(Curve(x, y, "", colour, "bars", y - half, y + half, width=1.1, opacity=0.9))
     return Plot("", *axes, tuple(parts))
 
@@ -266,10 +266,10 @@ def rows_plot(
     places = np.arange(len(names), 0.0, -1.0)
     half = np.nan_to_num(std)
     parts = []
-    for place, (name, colour, rows) in enumerate(groups):
+    for index, (name, colour, rows) in enumerate(groups):
         own = rows[np.isfinite(values[rows])]
         x_own, reach = values[own], half[own]
         bars = Curve(x_own, places[own], name, colour, "bars", x_own - reach, x_own + reach, across=True)
-        parts.append(replace(bars, width=1.2 + 0.5 * place))
+        parts.append(replace(bars, width=1.2 + 0.5 * index))
     y = Axis(limits=(0.5, len(names) + 0.5), ticks=tuple(zip(places.tolist(), names, strict=True)))
     return Plot(title, x, y, tuple(parts))

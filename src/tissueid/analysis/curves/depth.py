@@ -94,15 +94,15 @@ def depth_plots(analysis: Analysis) -> tuple[Plot, Plot, Plot]:
 
 def _point(analysis: Analysis, quantity: str) -> Curve:
     """Return the parameter of a linear system as a point at the mean position of the test."""
-    record, found = analysis.record[analysis.fit_part], analysis.model.report.reportable_parameters
-    known = all(name in found for _axis, name, _scale in QUANTITIES.values())
-    if (record.output_unit, record.input_unit) != ("m", "N") or not known:
+    record, parameters = analysis.record[analysis.fit_part], analysis.model.report.reportable_parameters
+    complete = all(name in parameters for _axis, name, _scale in QUANTITIES.values())
+    if (record.output_unit, record.input_unit) != ("m", "N") or not complete:
         raise UnusableInputError(
             "research.no_second_order", "this engine estimates no mass, damping and stiffness from this record"
         )
     _axis, name, scale = QUANTITIES[quantity]
     where: Array = np.array([1e3 * float(np.nanmean(record.output))])
-    return Curve(where, np.array([scale * found[name].value]), colour="model", kind="points", width=2.0)
+    return Curve(where, np.array([scale * parameters[name].value]), colour="model", kind="points", width=2.0)
 
 
 def profile_plots(
@@ -118,23 +118,23 @@ def profile_plots(
     Raises:
         UnusableInputError: no row holds a value.
     """
-    known = {name: p for name, p in profiles.items() if np.isfinite(p.stiffness).any() or np.isfinite(p.mass).any()}
-    if not known:
+    estimated = {name: p for name, p in profiles.items() if np.isfinite(p.stiffness).any() or np.isfinite(p.mass).any()}
+    if not estimated:
         raise UnusableInputError("report.no_profile", "mass, damping and stiffness could not be estimated at any depth")
     x, origin = depth_axis(surface_position_m)
     series = [
         (_one_direction(name, way), profile, np.flatnonzero(profile.direction == way))
-        for name, profile in known.items()
+        for name, profile in estimated.items()
         for way in (0, 1, -1)
         if (profile.direction == way).any()
     ]
     made = []
     for quantity, (axis, _name, _scale) in QUANTITIES.items():
-        curves = [_series_curve(one, quantity, origin) for one in series]
-        styled = (_styled(*item, place, origin) for place, item in enumerate(zip(curves, series, strict=True)))
+        curves = [_series_curve(entry, quantity, origin) for entry in series]
+        styled = (_styled(*item, index, origin) for index, item in enumerate(zip(curves, series, strict=True)))
         limits = limits_of(np.concatenate([range_of(curve) for curve in curves]))
         made.append(Plot(axis.label, x, replace(axis, limits=limits), tuple(chain.from_iterable(styled))))
-    counts = [_support(one, place, len(series), origin) for place, one in enumerate(series)]
+    counts = [_support(entry, index, len(series), origin) for index, entry in enumerate(series)]
     if visited is not None:
         counts = [sample_counts(visited, origin, _BINS)]
     samples = Axis(marked("Samples"))
@@ -149,28 +149,28 @@ def dpn_plots(model: DpnModel, positions: Array, surface_position_m: float) -> t
         positions: where the curves are evaluated (k,), m.
         surface_position_m: origin of depth, m; NaN for positions on the actuator.
     """
-    known = model.known
+    estimated = model.known
     x, origin = depth_axis(surface_position_m)
-    mass = [(known.mass(positions), marked("mass"))]
-    if known.curves.direction.size:
+    mass = [(estimated.mass(positions), marked("mass"))]
+    if estimated.curves.direction.size:
         inwards, outwards = marked("into the tissue"), marked("out of the tissue")
-        damping = [(known.damping(positions, 1), inwards), (known.damping(positions, -1), outwards)]
+        damping = [(estimated.damping(positions, 1), inwards), (estimated.damping(positions, -1), outwards)]
     else:
-        damping = [(known.damping(positions, 0), marked("damping"))]
-    stiffness = [(known.stiffness(positions), marked("tangent, dF/dy"))]
+        damping = [(estimated.damping(positions, 0), marked("damping"))]
+    stiffness = [(estimated.stiffness(positions), marked("tangent, dF/dy"))]
     if model.surface_position_m is not None:
-        stiffness.append((known.secant(positions, model.surface_position_m), marked("secant, F over depth")))
+        stiffness.append((estimated.secant(positions, model.surface_position_m), marked("secant, F over depth")))
     made = []
     for bands, (axis, _name, scale) in zip((mass, damping, stiffness), QUANTITIES.values(), strict=True):
         parts = [
-            _band_curve(band, 1e3 * (positions - origin), scale, place, name)
-            for place, (band, name) in enumerate(bands)
+            _band_curve(band, 1e3 * (positions - origin), scale, index, name)
+            for index, (band, name) in enumerate(bands)
         ]
         tops = np.concatenate([part.y if part.high is None else part.high for part in parts])
         top = float(np.max(tops[np.isfinite(tops)], initial=0.0))
         made.append(Plot(axis.label, x, replace(axis, limits=(0.0, 1.05 * top or 1.0)), tuple(parts)))
     samples = Axis(marked("Samples"))
-    counts = sample_counts(known.position, origin, _DPN_BINS)
+    counts = sample_counts(estimated.position, origin, _DPN_BINS)
     return made[0], made[1], made[2], Plot(samples.label, x, samples, (counts,))
 
 
@@ -186,18 +186,18 @@ def static_force_plot(model: DpnModel, record: Record, positions: Array, surface
     return Plot("", x, signal_axis(record.input_name, record.input_unit), (samples, force))
 
 
-def _band_curve(band: CurveBand, depth_mm: Array, scale: float, place: int, name: str) -> Curve:
+def _band_curve(band: CurveBand, depth_mm: Array, scale: float, index: int, name: str) -> Curve:
     """Return a parameter curve; its band closes on it where the band is unknown."""
-    known = np.isfinite(band.low + band.high)
-    low, high = np.where(known, band.low, band.value), np.where(known, band.high, band.value)
-    look = name, _COLOURS[place], KINDS[place]
+    bounded = np.isfinite(band.low + band.high)
+    low, high = np.where(bounded, band.low, band.value), np.where(bounded, band.high, band.value)
+    look = name, _COLOURS[index], KINDS[index]
     return Curve(depth_mm, scale * band.value, *look, scale * low, scale * high, width=1.2)
 
 
 def depth_axis(surface_position_m: float) -> tuple[Axis, float]:
     """Return the axis of depth, or of position where the surface is unknown (NaN), and its origin, m."""
-    known = bool(np.isfinite(surface_position_m))
-    return Axis(marked("Depth") if known else marked("Position"), "mm"), surface_position_m if known else 0.0
+    is_depth = bool(np.isfinite(surface_position_m))
+    return Axis(marked("Depth") if is_depth else marked("Position"), "mm"), surface_position_m if is_depth else 0.0
 
 
 def sample_counts(positions: Array, origin_m: float, bins: int) -> Bars:
@@ -221,17 +221,17 @@ def _series_curve(series: _Series, quantity: str, origin_m: float) -> Curve:
     return replace(curve, x=curve.x + shift)
 
 
-def _styled(curve: Curve, series: _Series, place: int, origin_m: float) -> list[Curve]:
+def _styled(curve: Curve, series: _Series, index: int, origin_m: float) -> list[Curve]:
     """Return the curves that show one series: a band, or bars with the range of depths of each row."""
     name, profile, rows = series
-    colour, kind = _COLOURS[place % len(_COLOURS)], KINDS[place % len(KINDS)]
+    colour, kind = _COLOURS[index % len(_COLOURS)], KINDS[index % len(KINDS)]
     if rows.size > DENSE:
         return [replace(curve, name=name, colour=colour, kind=kind, width=1.2)]
     gap = np.full(rows.size, np.nan)
     ranges = np.stack([1e3 * (profile.low[rows] - origin_m), 1e3 * (profile.high[rows] - origin_m), gap], axis=1)
     return [
         Curve(ranges.ravel(), np.repeat(curve.y, 3), colour=colour, width=0.6, opacity=0.6),
-        replace(curve, name=name, colour=colour, kind="bars", marker=MARKERS[place % len(MARKERS)]),
+        replace(curve, name=name, colour=colour, kind="bars", marker=MARKERS[index % len(MARKERS)]),
         Curve(curve.x, curve.y, colour=colour, kind=kind, width=0.6, opacity=0.6),
     ]
 
@@ -252,11 +252,11 @@ def limits_of(values: Array) -> tuple[float, float] | None:
     return 1.1 * min(0.0, float(finite.min())), 1.1 * max(0.0, float(finite.max())) or 1.0
 
 
-def _support(series: _Series, place: int, count: int, origin_m: float) -> Bars:
+def _support(series: _Series, index: int, count: int, origin_m: float) -> Bars:
     """Return the support of the rows of one of ``count`` series, next to each other in each range of depths."""
     _name, profile, rows = series
     low, high = 1e3 * (profile.low[rows] - origin_m), 1e3 * (profile.high[rows] - origin_m)
     width = (high - low) / count
     heights = profile.support[rows].astype(np.float64)
-    colour = _COLOURS[place % (len(_COLOURS) - 1)]
-    return Bars(low + (place + 0.5) * width, heights, width, colour=colour, opacity=0.5)
+    colour = _COLOURS[index % (len(_COLOURS) - 1)]
+    return Bars(low + (index + 0.5) * width, heights, width, colour=colour, opacity=0.5)

@@ -131,12 +131,12 @@ def _depths(run: FeedbackRun) -> Plot:
     seen = np.clip(run.depth[np.isfinite(run.depth)], bins[0], bins[-1])
     if not seen.size:
         raise UnusableInputError("report.no_depths", "no depth was received")
-    found = histogram(1e3 * seen, 1e3 * bins, COLOURS["position"])
+    measured = histogram(1e3 * seen, 1e3 * bins, COLOURS["position"])
     wanted = np.diff(run.desired_distribution(bins)) / (1e3 * np.diff(bins))
     desired = Curve(*outline(1e3 * bins, wanted), "", "text", "dashed", width=0.85)
-    top = max(1.35 * float(found.y.max()), 2.0 * float(wanted.max()))
+    top = max(1.35 * float(measured.y.max()), 2.0 * float(wanted.max()))
     title = Message("plot.distance", "distance {distance}", distance=f"{run.distance:.3f}")
-    return Plot(title, _DEPTH, density_axis("mm", top), (found, desired))
+    return Plot(title, _DEPTH, density_axis("mm", top), (measured, desired))
 
 
 def profiles_of(runs: Sequence[FeedbackRun]) -> dict[str, DepthProfile]:
@@ -185,8 +185,8 @@ def settling_plot(runs: Sequence[FeedbackRun] = ()) -> Plot:
     masses = [profile.mass for _, profile in profiles]
     mass = float(np.median(np.concatenate(masses))) if masses else THESIS_MASS_KG
     tops = [
-        1.05 * max([most, *(float(values.max()) for values in found)])
-        for most, found in (
+        1.05 * max([most, *(float(values.max()) for values in estimates)])
+        for most, estimates in (
             (_MOST_STIFFNESS, [profile.stiffness for _, profile in profiles]),
             (_MOST_DAMPING, [profile.damping for _, profile in profiles]),
         )
@@ -207,22 +207,22 @@ def settling_plot(runs: Sequence[FeedbackRun] = ()) -> Plot:
     return Plot(title, across, Axis(marked("Damping"), "N·s/m", limits=(0.0, tops[1])), tuple(parts))
 
 
-def _outline(stiffness: Array, damping: Array, times: Array, time_s: float, kind: Kind, words: str) -> list[Curve]:
+def _outline(stiffness: Array, damping: Array, times: Array, time_s: float, kind: Kind, template: str) -> list[Curve]:
     """Return least and greatest damping at each stiffness, where the response settles within a time."""
     ends = np.full((2, stiffness.size), np.nan)
-    for column, found in enumerate(times.T):
-        within = np.flatnonzero(found <= time_s)
+    for column, settling_s in enumerate(times.T):
+        within = np.flatnonzero(settling_s <= time_s)
         if within.size:
             for end, inside, step in ((0, within[0], -1), (1, within[-1], 1)):
                 beyond = inside + step
                 if 0 <= beyond < damping.size:
-                    share = (time_s - found[inside]) / (found[beyond] - found[inside])
+                    share = (time_s - settling_s[inside]) / (settling_s[beyond] - settling_s[inside])
                     ends[end, column] = damping[inside] + share * (damping[beyond] - damping[inside])
-    name = Message("plot.settles_within", words, time_ms=1e3 * time_s)
-    known = [np.isfinite(values) for values in ends]
+    name = Message("plot.settles_within", template, time_ms=1e3 * time_s)
+    finite = [np.isfinite(values) for values in ends]
     return [
         Curve(stiffness[shown], values[shown], name if first else "", "text", kind)
-        for first, values, shown in zip((True, False), ends, known, strict=True)
+        for first, values, shown in zip((True, False), ends, finite, strict=True)
         if shown.any()
     ]
 
