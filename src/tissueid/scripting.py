@@ -319,7 +319,7 @@ def diagnose(
 
     dataset, known = against_twin(prepare(_session_of(session), tuple(fit), tuple(check)), None)
     with executor(workers) as pool:
-        return diagnose_dataset(dataset, pool, known=known)
+        return diagnose_dataset(dataset, pool, accepted=known)
 
 
 def write_report(

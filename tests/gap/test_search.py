@@ -93,11 +93,11 @@ def test_a_diagnosis_names_the_effect():
 
 def test_a_known_effect_is_part_of_the_baseline():
     result = diagnose(
-        observed("sensor_lag", samples=SAMPLES), SerialExecutor(), known=("sensor_lag",), candidates=CANDIDATES
+        observed("sensor_lag", samples=SAMPLES), SerialExecutor(), accepted=("sensor_lag",), candidates=CANDIDATES
     )
-    assert result.found.baseline.effects == ("sensor_lag",)
+    assert result.search_result.baseline.effects == ("sensor_lag",)
     assert (result.verdict, result.combination) == ("no_gap", ())
-    assert all(len(set(item.effects)) == len(item.effects) for item in result.found.candidates)
+    assert all(len(set(item.effects)) == len(item.effects) for item in result.search_result.candidates)
     assert "sensor_lag" not in {item.effect for item in result.ranking}
 
 

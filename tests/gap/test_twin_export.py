@@ -113,7 +113,7 @@ def test_what_a_twin_leaves_unmodelled_is_part_of_the_floor_of_later_sessions(ob
 def test_a_gap_in_the_check_alone_is_none_against_a_twin(observed, content, monkeypatch):
     monkeypatch.setattr(diagnosis, "shows_in_the_check_alone", lambda _: True)
     later, known = against_twin(observed, content)
-    found = diagnose(later, SerialExecutor(), known=known, candidates=["latency"])
+    found = diagnose(later, SerialExecutor(), accepted=known, candidates=["latency"])
     assert found.verdict == "no_gap"
     assert [code_of(remark) for remark in found.remarks] == ["gap.only_in_check"]
 

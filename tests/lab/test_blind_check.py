@@ -161,9 +161,9 @@ def test_a_check_against_a_twin_scores_new_effects(tmp_path: Path, capsys, monke
     kept, out = tmp_path / "kept", tmp_path / "score.json"
     searched: list[int] = []
 
-    def baseline_only(dataset, pool, *, known=(), without=()):  # type: ignore[no-untyped-def]
+    def baseline_only(dataset, pool, *, accepted=(), without=()):  # type: ignore[no-untyped-def]
         searched.append(len(dataset.priors))
-        return diagnose(dataset, pool, known=known, candidates=())
+        return diagnose(dataset, pool, accepted=accepted, candidates=())
 
     monkeypatch.setattr("tissueid_lab.blind_check.answers.diagnose", baseline_only)
     blind = ["gap", "blind-check", "--workers", "1", "--keep", str(kept)]

@@ -157,7 +157,7 @@ def test_a_named_cause_is_good_news_and_none_asks_for_a_look():
 
 @pytest.mark.usefixtures("undrawn")
 def test_parameters_have_three_digits_their_deviation_unit_and_meaning():
-    found = replace(as_effect(), best=next(iter(as_effect().found.singles)))
+    found = replace(as_effect(), best=next(iter(as_effect().search_result.singles)))
     text = " ".join(checked(gap_html(found)).text.split())
     assert re.search(r"Force \d[\d.]* ± [\d.]+ N force at 50 mm/s", text)
     assert re.search(r"Exponent \d\.\d{0,2} ± [\d.]+ power of speed", text)

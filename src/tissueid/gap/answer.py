@@ -42,11 +42,11 @@ from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGES, Stage
 
 
-def as_answer(found: Diagnosis) -> dict[str, Any]:
+def as_answer(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the JSON of ``tissueid gap diagnose``."""
-    figures = found.gap
+    figures = diagnosis.gap
     return {
-        "verdict": found.verdict,
+        "verdict": diagnosis.verdict,
         "gap": {
             "before": figures.before,
             "after": figures.after,
@@ -55,7 +55,7 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
             "closed_ci": list(figures.closed_ci),
             "announced": figures.predicted_closed,
         },
-        "where": found.where.as_answer(),
+        "where": diagnosis.where.as_answer(),
         "ranking": [
             {
                 "effect": item.effect,
@@ -66,13 +66,15 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
                 "indistinguishable": list(item.indistinguishable),
                 "parameters": item.parameters,
             }
-            for item in (ordered_candidates(found) if found.combination else found.ranking)
+            for item in (ordered_candidates(diagnosis) if diagnosis.combination else diagnosis.ranking)
         ],
-        "combination": list(found.combination),
-        "budget": _budget(found),
-        "remains": None if found.budget is None else {"share": found.budget.remains, "stage": found.budget.remains_in},
+        "combination": list(diagnosis.combination),
+        "budget": _budget(diagnosis),
+        "remains": None
+        if diagnosis.budget is None
+        else {"share": diagnosis.budget.remains, "stage": diagnosis.budget.remains_in},
         "detection_limits": {
-            name: None if limit is None else dict(vars(limit)) for name, limit in found.detection_limits.items()
+            name: None if limit is None else dict(vars(limit)) for name, limit in diagnosis.detection_limits.items()
         },
         "members": [
             {
@@ -80,33 +82,33 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
                 "probability": item.probability,
                 "rivals": [{"effect": name, "probability": share} for name, share in item.rivals],
             }
-            for item in members_of(found)
+            for item in members_of(diagnosis)
         ],
         "next_experiment": None
-        if found.next_experiment is None
+        if diagnosis.next_experiment is None
         else {
-            "kind": found.next_experiment.kind,
-            "why": str(found.next_experiment.why),
-            "message": stored(found.next_experiment.why),
-            "separates": list(found.next_experiment.separates),
-            "gain_nats": found.next_experiment.gain_nats,
-            "separation": found.next_experiment.separation,
-            "gains": found.next_experiment.gains,
-            "command_line": found.next_experiment.command_line,
+            "kind": diagnosis.next_experiment.kind,
+            "why": str(diagnosis.next_experiment.why),
+            "message": stored(diagnosis.next_experiment.why),
+            "separates": list(diagnosis.next_experiment.separates),
+            "gain_nats": diagnosis.next_experiment.gain_nats,
+            "separation": diagnosis.next_experiment.separation,
+            "gains": diagnosis.next_experiment.gains,
+            "command_line": diagnosis.next_experiment.command_line,
         },
-        "ceiling": found.ceiling,
-        "without": list(found.without),
-        "not_tried": list(found.not_tried),
-        "remarks": [str(remark) for remark in found.remarks],
-        "remark_messages": list(map(stored, found.remarks)),
-        "statement": stored(headline_of(found)[0]),
-        "seconds": found.seconds,
+        "ceiling": diagnosis.ceiling,
+        "without": list(diagnosis.without),
+        "not_tried": list(diagnosis.not_tried),
+        "remarks": [str(remark) for remark in diagnosis.remarks],
+        "remark_messages": list(map(stored, diagnosis.remarks)),
+        "statement": stored(headline_of(diagnosis)[0]),
+        "seconds": diagnosis.seconds,
     }
 
 
-def _budget(found: Diagnosis) -> list[dict[str, Any]]:
+def _budget(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     # In the order of adding; empty where nothing is named.
-    alternatives = alternatives_of(found)
+    alternatives = alternatives_of(diagnosis)
     return [
         {
             "effect": step.effect,
@@ -118,32 +120,32 @@ def _budget(found: Diagnosis) -> list[dict[str, Any]]:
             "gap_after": step.gap_after,
             "alternatives": list(alternatives[step.effect]),
         }
-        for step in (() if found.budget is None else found.budget.steps)
+        for step in (() if diagnosis.budget is None else diagnosis.budget.steps)
     ]
 
 
-def content_of(found: Diagnosis, file: Path | None = None) -> DiagnosisContent:
+def content_of(diagnosis: Diagnosis, file: Path | None = None) -> DiagnosisContent:
     """Return what page and report show of a diagnosis; with the shell's command where the session's file is given."""
-    regions = found.where.regions
-    headline, level = headline_of(found)
+    regions = diagnosis.where.regions
+    headline, level = headline_of(diagnosis)
     spectrum = next((item for item in regions.spectra if item.channel == regions.channel), None)
     return DiagnosisContent(
-        found.verdict,
-        _titles(found.combination),
+        diagnosis.verdict,
+        _titles(diagnosis.combination),
         headline,
         level,
-        tuple(sentences_of(found)),
-        tuple(next_steps_of(found, file)),
-        found.remarks,
-        tuple(_stage(found, stage) for stage in STAGES),
-        found.at_fault,
+        tuple(sentences_of(diagnosis)),
+        tuple(next_steps_of(diagnosis, file)),
+        diagnosis.remarks,
+        tuple(_stage(diagnosis, stage) for stage in STAGES),
+        diagnosis.at_fault,
         None if spectrum is None else gap_spectrum(spectrum, regions.above["bands_hz"]),
         {name: profile_values(name, regions.profiles[name]) for name in PROFILES if name in regions.profiles},
-        tuple(_rival(found, item) for item in ordered_candidates(found)),
-        _closing(found),
-        _overlays(found),
-        tuple(_offered(found)),
-        budget_rows(found),
+        tuple(_rival(diagnosis, item) for item in ordered_candidates(diagnosis)),
+        _closing(diagnosis),
+        _overlays(diagnosis),
+        tuple(_offered(diagnosis)),
+        budget_rows(diagnosis),
     )
 
 
@@ -153,15 +155,15 @@ def _titles(names: Sequence[str]) -> str:
     return Message("gap.effects", "{names}", names=Listing(tuple(effect_title(name) for name in names)))
 
 
-def _offered(found: Diagnosis) -> Iterator[tuple[str, str, bool]]:
-    for member in members_of(found):
+def _offered(diagnosis: Diagnosis) -> Iterator[tuple[str, str, bool]]:
+    for member in members_of(diagnosis):
         for name, share in ((member.effect, member.probability), *member.rivals):
-            yield name, described(found, name, share), name == member.effect
+            yield name, described(diagnosis, name, share), name == member.effect
 
 
-def _stage(found: Diagnosis, stage: Stage) -> StageContent:
-    where = found.where
-    if found.verdict == "no_gap":
+def _stage(diagnosis: Diagnosis, stage: Stage) -> StageContent:
+    where = diagnosis.where
+    if diagnosis.verdict == "no_gap":
         only_noise = marked("The residual of the simulation is noise: there is no evidence against this stage.")
         return StageContent(stage, 0.0, False, (only_noise,))
     lines: list[str] = [
@@ -176,18 +178,20 @@ def _stage(found: Diagnosis, stage: Stage) -> StageContent:
         if item.stage == stage
     ]
     named = [
-        effect_title(name) for name in found.combination if name in all_effects() and all_effects()[name].stage == stage
+        effect_title(name)
+        for name in diagnosis.combination
+        if name in all_effects() and all_effects()[name].stage == stage
     ]
     if named:
         causes = Listing(tuple(named), "; ", "; ")
         lines.append(Message("gap.stage_of_effect", "Named effects of this stage: {names}.", names=causes))
     return StageContent(
-        stage, where.shares[stage], stage in found.at_fault, tuple(lines) or (_no_evidence(found, stage),)
+        stage, where.shares[stage], stage in diagnosis.at_fault, tuple(lines) or (_no_evidence(diagnosis, stage),)
     )
 
 
-def _no_evidence(found: Diagnosis, stage: Stage) -> str:
-    nearest = found.where.nearest
+def _no_evidence(diagnosis: Diagnosis, stage: Stage) -> str:
+    nearest = diagnosis.where.nearest
     if stage not in nearest:
         return marked("There is no evidence against this stage.")
     times = number(nearest[stage], 3)
@@ -205,41 +209,41 @@ def _no_evidence(found: Diagnosis, stage: Stage) -> str:
     )
 
 
-def _rival(found: Diagnosis, item: Ranked) -> Rival:
-    known = all_effects().get(item.effect)
-    probability = shown_probability(found, item.effect, item.probability)
+def _rival(diagnosis: Diagnosis, item: Ranked) -> Rival:
+    effect = all_effects().get(item.effect)
+    probability = shown_probability(diagnosis, item.effect, item.probability)
     return Rival(
         effect_title(item.effect),
         item.stage,
-        item.effect in found.combination,
+        item.effect in diagnosis.combination,
         probability,
         f"{percent(probability)} %" if np.isfinite(probability) else MISSING,
-        _closed(found, item),
+        _closed(diagnosis, item),
         _titles(item.indistinguishable),
-        "" if known is None else known.signature,
-        "" if known is None else known.remedy,
-        _figures(found, item),
+        "" if effect is None else effect.signature,
+        "" if effect is None else effect.remedy,
+        _figures(diagnosis, item),
     )
 
 
-def _closed(found: Diagnosis, item: Ranked) -> str:
+def _closed(diagnosis: Diagnosis, item: Ranked) -> str:
     low, high = item.closed_ci
     if np.isfinite(item.closed) and np.isfinite(low) and np.isfinite(high):
         values = {"percent": 100.0 * item.closed, "low": 100.0 * low, "high": 100.0 * high}
         return Message("gap.closed_interval", "{percent:.0f} % ({low:.0f} to {high:.0f} %)", **values)
     if np.isfinite(item.closed):
         return Message("gap.share", "{percent:.0f} %", percent=100.0 * item.closed)
-    if item.effect in found.combination and np.isfinite(found.gap.closed):
-        return Message("gap.closed_together", "{percent:.0f} % together", percent=100.0 * found.gap.closed)
+    if item.effect in diagnosis.combination and np.isfinite(diagnosis.gap.closed):
+        return Message("gap.closed_together", "{percent:.0f} % together", percent=100.0 * diagnosis.gap.closed)
     return marked("not determined")
 
 
-def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
+def _figures(diagnosis: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
     values, stds = item.parameters, {}
-    if item.effect in found.combination and found.best is not None:
-        values, stds = parameters_of(found.best, item.effect), stds_of(found.best)
-    known = all_effects().get(item.effect)
-    about: dict[str, Any] = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
+    if item.effect in diagnosis.combination and diagnosis.best is not None:
+        values, stds = parameters_of(diagnosis.best, item.effect), stds_of(diagnosis.best)
+    effect = all_effects().get(item.effect)
+    about: dict[str, Any] = {} if effect is None else {parameter.name: parameter for parameter in effect.parameters}
     rows = []
     for name, value in values.items():
         meaning = (about[name].meaning if name in about else "") or name.replace("_", " ")
@@ -248,9 +252,9 @@ def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
     return tuple(rows)
 
 
-def _closing(found: Diagnosis) -> str:
-    gap = found.gap
-    if found.verdict == "no_gap":
+def _closing(diagnosis: Diagnosis) -> str:
+    gap = diagnosis.gap
+    if diagnosis.verdict == "no_gap":
         return Message("gap.nothing_to_close", "There is no gap to close: the residual is noise.")
     if not np.isfinite(gap.closed):
         return marked("No candidate was fitted to the gap.")
@@ -272,22 +276,22 @@ def _closing(found: Diagnosis) -> str:
             "{predicted:.0f}\u00a0% predicted on the data used for the choice.",
             **values,
         )
-    if not np.isfinite(found.ceiling):
+    if not np.isfinite(diagnosis.ceiling):
         return closed
     ceiling = Message(
         "gap.ceiling",
         "The most that any model closed, physical or not: {percent:.0f}\u00a0%.",
-        percent=100.0 * found.ceiling,
+        percent=100.0 * diagnosis.ceiling,
     )
     return sentences(closed, ceiling)
 
 
-def _overlays(found: Diagnosis) -> tuple[SignalOverlay, ...]:
+def _overlays(diagnosis: Diagnosis) -> tuple[SignalOverlay, ...]:
     """Return every signal, the one with the largest gap first; none if every sample was fitted."""
-    if found.where.regions.channel not in found.dataset.channels:
+    if diagnosis.where.regions.channel not in diagnosis.dataset.channels:
         return ()
     try:
-        return overlays_of(found)
+        return overlays_of(diagnosis)
     except UnusableInputError:
         return ()
 
@@ -315,10 +319,10 @@ def store_answer(folder: Path, key: str, answer: dict[str, Any]) -> None:
 
 def stored_answer(folder: Path, key: str) -> dict[str, Any] | None:
     """Return a stored answer or None; raise UnusableInputError where the file holds something else."""
-    found = stored_content(folder, key)
-    if found is not None and not found.keys() >= _KEYS:
+    content = stored_content(folder, key)
+    if content is not None and not content.keys() >= _KEYS:
         raise _unreadable(answer_path(folder, key))
-    return found
+    return content
 
 
 def answer_path(folder: Path, key: str) -> Path:
@@ -333,8 +337,10 @@ def stored_content(folder: Path, key: str) -> dict[str, Any] | None:
         return None
     try:
         usable = path.is_file() and path.stat().st_size <= _MOST_BYTES
-        found = json.loads(path.read_text(encoding="utf-8")) if usable else None
-        content, digest = (found.get("content"), found.get("sha256")) if isinstance(found, dict) else (None, None)
+        document = json.loads(path.read_text(encoding="utf-8")) if usable else None
+        content, digest = (
+            (document.get("content"), document.get("sha256")) if isinstance(document, dict) else (None, None)
+        )
         if isinstance(content, dict) and digest == _digest(json.dumps(content)):
             return content
     except (OSError, ValueError, RecursionError) as error:

@@ -66,7 +66,9 @@ class Budget:
 
 
 def removal_path(
-    found: Candidate, known: Sequence[str], remove: Callable[[Candidate, Sequence[str]], Sequence[Candidate]]
+    complete: Candidate,
+    baseline_effects: Sequence[str],
+    remove: Callable[[Candidate, Sequence[str]], Sequence[Candidate]],
 ) -> tuple[tuple[Candidate, ...], dict[str, Candidate]]:
     """Return nested sets from one effect to all, and the set without each effect.
 
@@ -74,14 +76,14 @@ def removal_path(
     that of the most important effect.
 
     Args:
-        found: the complete set.
-        known: effects of the baseline, which stay.
+        complete: the complete set.
+        baseline_effects: effects of the baseline, which stay.
         remove: refits a set without each of some effects.
     """
-    quiet = found.quiet
-    path: list[Candidate] = [found]
+    quiet = complete.quiet
+    path: list[Candidate] = [complete]
     without: dict[str, Candidate] = {}
-    while len(names := [name for name in path[-1].effects if name not in known]) > 1:
+    while len(names := [name for name in path[-1].effects if name not in baseline_effects]) > 1:
         smaller = remove(path[-1], names)
         if not without:
             without = dict(zip(names, smaller, strict=True))
@@ -121,8 +123,8 @@ def budget(
         name = next(name for name in item.effects if name not in before.effects)
         added, added_ci = difference(item, before)
         removed, removed_ci = difference(complete, without[name]) if name in without else (added, added_ci)
-        left = gap_left(baseline.checked_by, item.checked_by, quiet)
-        steps.append(BudgetStep(name, effect(name).stage, left, added, added_ci, removed, removed_ci))
+        gap_after = gap_left(baseline.checked_by, item.checked_by, quiet)
+        steps.append(BudgetStep(name, effect(name).stage, gap_after, added, added_ci, removed, removed_ci))
         before = item
     return Budget(
         gap(baseline.checked_by, quiet),
@@ -151,7 +153,7 @@ class _Course:
 
     test: DatasetTest
     inputs: FloatArray
-    left: dict[str, FloatArray]
+    residuals: dict[str, FloatArray]
 
 
 def ceiling(baseline: Candidate) -> float:
@@ -166,34 +168,36 @@ def ceiling(baseline: Candidate) -> float:
         _course(test, predicted, dataset.channels)
         for test, predicted in zip(dataset.tests, baseline.fit.predictions, strict=True)
     ]
-    fitted = [one.test.serving(Purpose.FIT) for one in courses]
+    fitted = [course.test.serving(Purpose.FIT) for course in courses]
     count = sum(int(mask.sum()) for mask in fitted)
     if not before > least or count < FEATURES:
         return float("nan")
     chosen = [np.flatnonzero(mask)[:: max(1, -(-count // MOST_FITTED))] for mask in fitted]
-    known = np.concatenate([one.inputs[rows] for one, rows in zip(courses, chosen, strict=True)])
-    middle, spread = known.mean(axis=0), np.maximum(known.std(axis=0), 1e-12)
+    inputs = np.concatenate([course.inputs[rows] for course, rows in zip(courses, chosen, strict=True)])
+    middle, spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-12)
     best: dict[str, tuple[float, list[FloatArray]]] = {}
     for length in LENGTHS:
         random = np.random.default_rng(0)
-        waves = random.standard_normal((known.shape[1], FEATURES)) / (length * np.sqrt(known.shape[1]) / 2.0)
+        waves = random.standard_normal((inputs.shape[1], FEATURES)) / (length * np.sqrt(inputs.shape[1]) / 2.0)
         phases = random.uniform(0.0, 2.0 * np.pi, FEATURES)
-        features = [_random_features((one.inputs - middle) / spread, waves, phases) for one in courses]
+        features = [_random_features((course.inputs - middle) / spread, waves, phases) for course in courses]
         design = np.concatenate([rows[k] for rows, k in zip(features, chosen, strict=True)])
         inner = design.T @ design
         for name in dataset.channels:
-            target = np.concatenate([one.left[name][k] for one, k in zip(courses, chosen, strict=True)])
+            target = np.concatenate([course.residuals[name][k] for course, k in zip(courses, chosen, strict=True)])
             good = np.isfinite(target)
             squares = inner if good.all() else design[good].T @ design[good]
             toward = design[good].T @ target[good]
             for ridge in RIDGES:
                 weights = np.linalg.solve(squares + ridge * good.sum() * np.eye(toward.size), toward)
                 predicted = [rows @ weights for rows in features]
-                parts = (_left(one, name, part, Purpose.CHOICE) for one, part in zip(courses, predicted, strict=True))
+                parts = (
+                    _left(course, name, part, Purpose.CHOICE) for course, part in zip(courses, predicted, strict=True)
+                )
                 error = sum(float(np.sum(part**2)) for part in parts)
                 if name not in best or error < best[name][0]:
                     best[name] = (error, predicted)
-    places = {one.test.number: k for k, one in enumerate(courses)}
+    places = {course.test.number: k for k, course in enumerate(courses)}
     after = []
     for item in baseline.checked_by:
         k = places[item.test]
@@ -209,8 +213,8 @@ def _course(test: DatasetTest, predicted: dict[str, FloatArray], channels: Seque
     states = [position, speed, *([predicted["current"]] if "current" in predicted else [])]
     rows = [*_past(test.command), *(column for state in states for column in _past(state)[:5])]
     seconds = np.arange(test.command.size) / test.sample_rate_hz
-    left = {name: test.signals[name] - predicted[name] for name in channels}
-    return _Course(test, np.stack([*rows, seconds], axis=1), left)
+    residuals = {name: test.signals[name] - predicted[name] for name in channels}
+    return _Course(test, np.stack([*rows, seconds], axis=1), residuals)
 
 
 def _past(values: FloatArray) -> list[FloatArray]:
@@ -227,10 +231,10 @@ def _random_features(inputs: FloatArray, waves: FloatArray, phases: FloatArray) 
     return np.concatenate([np.ones((inputs.shape[0], 1)), inputs, np.cos(turned)], axis=1)
 
 
-def _left(one: _Course, name: str, predicted: FloatArray, purpose: Purpose) -> FloatArray:
+def _left(course: _Course, name: str, predicted: FloatArray, purpose: Purpose) -> FloatArray:
     # What the regression leaves of the residual on the samples of a purpose.
-    mask = one.test.serving(purpose) & np.isfinite(one.left[name])
-    return one.left[name][mask] - predicted[mask]
+    mask = course.test.serving(purpose) & np.isfinite(course.residuals[name])
+    return course.residuals[name][mask] - predicted[mask]
 
 
 IntArray = NDArray[np.int64]
@@ -286,29 +290,29 @@ def closed_in_draws(
         draws: numbers of the drawn stretches, shape (draws, stretches).
         quiet: tests that are left out, as in ``decision.gap``.
     """
-    wide, left = _gaps(before, draws, quiet), _gaps(after, draws, quiet)
+    wide, remaining = _gaps(before, draws, quiet), _gaps(after, draws, quiet)
     least = _gaps(before, draws, quiet, lambda item: item.noise**2 + item.irreducible**2)
     room = np.where(wide > least, wide - least, np.nan)
-    return 1.0 - np.sqrt(np.maximum(left - least, 0.0) / room)
+    return 1.0 - np.sqrt(np.maximum(remaining - least, 0.0) / room)
 
 
 def _gaps(
-    found: Sequence[Stretch],
+    errors_by_stretch: Sequence[Stretch],
     draws: IntArray,
     quiet: Sequence[int],
     square: Callable[[ChannelError], float] = lambda item: item.square,
 ) -> FloatArray:
     # The squared gap in each draw, as ``decision.gap`` pools it, shape (draws,).
-    sums = np.zeros((2, len(found), len(GAP_CHANNELS)))
-    for k, stretch in enumerate(found):
+    sums = np.zeros((2, len(errors_by_stretch), len(GAP_CHANNELS)))
+    for k, stretch in enumerate(errors_by_stretch):
         for item in stretch:
             if item.channel in GAP_CHANNELS and item.test not in quiet and item.spread > 0.0:
                 of_channel = sums[:, k, GAP_CHANNELS.index(item.channel)]
                 of_channel += item.samples * np.array([square(item), item.spread**2])
     errors_drawn, spreads_drawn = sums[:, draws].sum(axis=2)
-    known = spreads_drawn > 0.0
-    shares = np.where(known, errors_drawn / np.where(known, spreads_drawn, 1.0), 0.0)
-    channels = known.sum(axis=1)
+    has_spread = spreads_drawn > 0.0
+    shares = np.where(has_spread, errors_drawn / np.where(has_spread, spreads_drawn, 1.0), 0.0)
+    channels = has_spread.sum(axis=1)
     return np.where(channels > 0, shares.sum(axis=1) / np.maximum(channels, 1), np.nan)
 
 
@@ -328,7 +332,7 @@ def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]
 
 def stretches(candidate: Candidate) -> list[list[ChannelError]]:
     """Return the errors of every stretch of the check: successive blocks of a test, ``STRETCH_S`` or longer."""
-    found = []
+    errors_by_stretch = []
     tests = candidate.fit.parameters.dataset.tests
     for k, test in enumerate(tests):
         serving = test.serving(Purpose.CHECK)
@@ -337,5 +341,5 @@ def stretches(candidate: Candidate) -> list[list[ChannelError]]:
         for stretch in np.array_split(samples, count) if samples.size else ():
             alone = [replace(other, purpose=np.zeros_like(other.purpose)) for other in tests]
             alone[k].purpose[stretch] = Purpose.CHECK
-            found.append(errors(candidate.fit, Purpose.CHECK, tests=alone))
-    return found
+            errors_by_stretch.append(errors(candidate.fit, Purpose.CHECK, tests=alone))
+    return errors_by_stretch

@@ -160,21 +160,21 @@ def as_oscillator(tests: Sequence[Test], fitted: Sequence[Test]) -> tuple[Equiva
     rest = float(np.mean(np.concatenate([values for _, values in records])))
     middle = float(np.mean(np.concatenate([values for values, _ in records])))
     about = replace(about, input_middle_n=about.input_n * middle, volts_per_newton=PEAK_V / (about.input_n * peak))
-    found = []
+    excited = []
     for test in tests:
         force = about.input_n * (interpolated(test.signals[given]) - middle)
         motion = about.output_m * (np.asarray(test.signals[output], np.float64) - rest)
-        found.append(ExcitedTest(test, "input", np.ascontiguousarray(force), {"position": motion}))
-    return about, found
+        excited.append(ExcitedTest(test, "input", np.ascontiguousarray(force), {"position": motion}))
+    return about, excited
 
 
 def interpolated(values: FloatArray) -> FloatArray:
     """Return a signal with linear interpolation across missing samples, shape (n,)."""
-    known = np.isfinite(values)
-    if known.all():
+    finite = np.isfinite(values)
+    if finite.all():
         return np.ascontiguousarray(values, np.float64)
     where = np.arange(values.size)
-    return np.interp(where, where[known], values[known])
+    return np.interp(where, where[finite], values[finite])
 
 
 def _check_received(name: str, values: FloatArray) -> None:

@@ -63,7 +63,7 @@ def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[DatasetTest] | None 
 
     ``tests`` replaces the fit's tests by the same tests with other purposes.
     """
-    found = []
+    channel_errors = []
     dataset = fitted.parameters.dataset
     for test, predicted in zip(dataset.tests if tests is None else tests, fitted.predictions, strict=True):
         irreducible = fitted.parameters.irreducible(fitted.theta, test.number)
@@ -73,7 +73,7 @@ def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[DatasetTest] | None 
             if not mask.any():
                 continue
             error = np.clip(np.nan_to_num(predicted[name][mask], nan=1e6) - test.signals[name][mask], -1e6, 1e6)
-            found.append(
+            channel_errors.append(
                 ChannelError(
                     test.number,
                     name,
@@ -85,7 +85,7 @@ def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[DatasetTest] | None 
                     without_rare_events(error, np.flatnonzero(mask)) if dataset.unmodelled else None,
                 )
             )
-    return found
+    return channel_errors
 
 
 def without_rare_events(error: FloatArray, samples: NDArray[np.intp]) -> float:
@@ -103,14 +103,14 @@ def without_rare_events(error: FloatArray, samples: NDArray[np.intp]) -> float:
     return float(sums[kept].sum() / sizes[kept].sum())
 
 
-def score(found: Sequence[ChannelError]) -> float:
+def score(channel_errors: Sequence[ChannelError]) -> float:
     """Return half the logarithm of error over noise variance, summed over channels and averaged over tests, nats.
 
     0 where only noise is left. The score is scale-free: halving the error of a channel lowers it by 0.69 at any level,
     so that a weak trace in one channel counts next to a large error in another.
     """
-    tests = {item.test for item in found}
-    return float(sum(0.5 * np.log(item.ratio) for item in found)) / max(len(tests), 1)
+    tests = {item.test for item in channel_errors}
+    return float(sum(0.5 * np.log(item.ratio) for item in channel_errors)) / max(len(tests), 1)
 
 
 def fitted_score(fitted: Fit, residuals: FloatArray) -> float:
@@ -121,18 +121,18 @@ def fitted_score(fitted: Fit, residuals: FloatArray) -> float:
     return float(sum(0.5 * np.log(max(square, LEAST_RATIO)) for square in squares)) / max(tests, 1.0)
 
 
-def gap(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
+def gap(channel_errors: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
     """Return the normalised root-mean-square error: error over the standard deviation of the recorded signal.
 
     Squares and variances are pooled over the tests of a channel; channels have equal weight. ``quiet`` tests have no
     signal to normalise by and are left out.
     """
-    return _pooled(found, quiet, lambda item: item.square)
+    return _pooled(channel_errors, quiet, lambda item: item.square)
 
 
-def floor(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
+def floor(channel_errors: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
     """Return the gap that sensor noise and irreducible errors alone cause."""
-    return _pooled(found, quiet, lambda item: item.noise**2 + item.irreducible**2)
+    return _pooled(channel_errors, quiet, lambda item: item.noise**2 + item.irreducible**2)
 
 
 def gap_left(before: Sequence[ChannelError], after: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
@@ -140,10 +140,12 @@ def gap_left(before: Sequence[ChannelError], after: Sequence[ChannelError], quie
     return max(gap(after, quiet), min(floor(before, quiet), gap(before, quiet)))
 
 
-def _pooled(found: Sequence[ChannelError], quiet: Sequence[int], square) -> float:  # type: ignore[no-untyped-def]
+def _pooled(channel_errors: Sequence[ChannelError], quiet: Sequence[int], square) -> float:  # type: ignore[no-untyped-def]
     shares = []
     for name in GAP_CHANNELS:
-        of_channel = [item for item in found if item.channel == name and item.test not in quiet and item.spread > 0.0]
+        of_channel = [
+            item for item in channel_errors if item.channel == name and item.test not in quiet and item.spread > 0.0
+        ]
         if of_channel:
             error = sum(square(item) * item.samples for item in of_channel)
             shares.append(error / sum(item.spread**2 * item.samples for item in of_channel))
@@ -210,8 +212,10 @@ def misfit(candidate: Candidate) -> float:
     It pools the channels as the fit does. Far from the noise floor, where a fit trades an error of one channel for that
     of another, a further effect of a set always lowers it; the score (see ``score``) can rise.
     """
-    found = candidate.chosen_by
-    return 0.5 * float(np.log(sum(item.ratio * item.samples for item in found) / sum(item.samples for item in found)))
+    channel_errors = candidate.chosen_by
+    return 0.5 * float(
+        np.log(sum(item.ratio * item.samples for item in channel_errors) / sum(item.samples for item in channel_errors))
+    )
 
 
 def score_candidate(fitted: Fit) -> Candidate:
@@ -314,10 +318,10 @@ class Grounds:
     tried: tuple[Tried, ...]
 
     @classmethod
-    def from_dict(cls, found: Mapping[str, Any]) -> Grounds:
+    def from_dict(cls, values: Mapping[str, Any]) -> Grounds:
         """Return grounds from the values of ``dataclasses.asdict`` or their JSON."""
-        tried = tuple(Tried(**(item | {"effects": tuple(item["effects"])})) for item in found["tried"])
-        return cls(float(found["baseline"]), tried)
+        tried = tuple(Tried(**(item | {"effects": tuple(item["effects"])})) for item in values["tried"])
+        return cls(float(values["baseline"]), tried)
 
 
 def decide(grounds: Grounds, thresholds: Thresholds = THRESHOLDS) -> frozenset[str]:
@@ -358,7 +362,7 @@ def _most_left(baseline: float, thresholds: Thresholds, *, clearly: bool = False
     return max(thresholds.at_the_floor, thresholds.explained_share * baseline, baseline - thresholds.explained_gain)
 
 
-def confirmed(baseline: float, left: float, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
+def confirmed(baseline: float, explanation: float, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether the samples for the check, which no fit and no choice has used, confirm an explanation.
 
     They do not where it closes less of the gap than an explanation must, and leaves too much of the score for one that
@@ -366,11 +370,11 @@ def confirmed(baseline: float, left: float, closed: float, thresholds: Threshold
 
     Args:
         baseline: score of the baseline on the check.
-        left: score of the explanation on the check.
+        explanation: score of the explanation on the check.
         closed: share of the gap that it closes on the check; NaN where there is none.
         thresholds: thresholds of the decision.
     """
-    return left <= _most_left(baseline, thresholds, clearly=True) or not closed < thresholds.explained_closed
+    return explanation <= _most_left(baseline, thresholds, clearly=True) or not closed < thresholds.explained_closed
 
 
 def grows(smaller: Candidate, larger: Candidate) -> bool:
@@ -378,39 +382,47 @@ def grows(smaller: Candidate, larger: Candidate) -> bool:
     return misfit(smaller) - misfit(larger) >= LIMITS.growth or cost(smaller) - cost(larger) >= THRESHOLDS.set_gain
 
 
-def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
+def is_needed(without: Tried, complete: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether members of a set are named, by what their removal costs; ``without`` is the set without them."""
-    if not contributes(without, found, thresholds):
+    if not contributes(without, complete, thresholds):
         return False
-    if all(one.in_living_tissue for one in _added(without, found)) or found.score <= thresholds.at_the_floor:
-        return found.closed >= without.closed
+    if (
+        all(member.in_living_tissue for member in _added(without, complete))
+        or complete.score <= thresholds.at_the_floor
+    ):
+        return complete.closed >= without.closed
     of_score = thresholds.set_leaves_score * without.score
-    return found.score <= of_score or 1.0 - found.closed <= thresholds.set_leaves * (1.0 - without.closed)
+    return complete.score <= of_score or 1.0 - complete.closed <= thresholds.set_leaves * (1.0 - without.closed)
 
 
-def contributes(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
+def contributes(without: Tried, complete: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether members of a set stay in it during a search, in which others can still be missing."""
-    if without.cost - found.cost < thresholds.set_gain:
+    if without.cost - complete.cost < thresholds.set_gain:
         return False
-    if found.score <= thresholds.at_the_floor and without.score >= thresholds.stand_in_score:
+    if complete.score <= thresholds.at_the_floor and without.score >= thresholds.stand_in_score:
         return True
     others = [effect(name) for name in without.effects]
     with_tissue = any(other.in_living_tissue for other in others)
     return without.closed < thresholds.structural or not all(
-        any(can_stand_for(one, other) for other in others) and not (with_tissue and one.in_living_tissue)
-        for one in _added(without, found)
+        any(can_stand_for(member, other) for other in others) and not (with_tissue and member.in_living_tissue)
+        for member in _added(without, complete)
     )
 
 
-def _added(without: Tried, found: Tried) -> list[Effect]:
-    return [effect(name) for name in found.effects if name not in without.effects]
+def _added(without: Tried, complete: Tried) -> list[Effect]:
+    return [effect(name) for name in complete.effects if name not in without.effects]
 
 
-def can_stand_for(one: Effect, other: Effect) -> bool:
+def can_stand_for(stand_in: Effect, other: Effect) -> bool:
     """Return whether an effect can stand for an error in the form of another.
 
     It can where both act in the same stage, where one is easily mistaken for the other, and where it has more than
     ``most_counted`` parameters, such as a curve along the stroke.
     """
-    flexible = one.order > THRESHOLDS.most_counted and one.stage != "environment"
-    return flexible or one.stage == other.stage or one.name in other.mistaken_for or other.name in one.mistaken_for
+    flexible = stand_in.order > THRESHOLDS.most_counted and stand_in.stage != "environment"
+    return (
+        flexible
+        or stand_in.stage == other.stage
+        or stand_in.name in other.mistaken_for
+        or other.name in stand_in.mistaken_for
+    )

@@ -82,7 +82,7 @@ class Diagnosis:
     remarks: tuple[str, ...]
     seconds: float
     dataset: Dataset = field(repr=False)
-    found: SearchResult = field(repr=False)
+    search_result: SearchResult = field(repr=False)
     best: Candidate | None = field(repr=False)
     """The accepted explanation or the best candidate; None where nothing was refitted."""
     ceiling: float = float("nan")
@@ -114,8 +114,8 @@ class Diagnosis:
         """
         if self.verdict == "no_gap":
             return ()
-        known = all_effects()
-        stages = [known[name].stage for name in self.combination if name in known]
+        library = all_effects()
+        stages = [library[name].stage for name in self.combination if name in library]
         if not stages:
             return (self.where.stage,) if self.where.above_floor else ()
         return tuple(dict.fromkeys(sorted(stages, key=lambda stage: stage != self.where.stage)))
@@ -125,7 +125,7 @@ def diagnose(
     dataset: Dataset,
     pool: Executor,
     *,
-    known: Sequence[str] = (),
+    accepted: Sequence[str] = (),
     candidates: Sequence[str] | None = None,
     without: Sequence[str] = (),
     seconds: float | None = None,
@@ -137,7 +137,7 @@ def diagnose(
     Args:
         dataset: the tests.
         pool: the executor of the fits.
-        known: effects that the baseline already includes.
+        accepted: effects of the accepted twin, which the baseline includes.
         candidates: effects to consider; all applicable effects where None.
         without: effects that are not tried.
         seconds: time after which the search begins no further step; None without a limit.
@@ -146,15 +146,15 @@ def diagnose(
     """
     began = time.monotonic()
     search = Search(dataset, pool, candidates, progress, cancelled, without, seconds)
-    baseline = search.baseline(known)
+    baseline = search.baseline(accepted)
     dataset = baseline.fit.parameters.dataset
     there_is = is_gap(baseline.score)
-    found, best = SetSearch(search, baseline).run() if there_is else (SearchResult(baseline, (), ()), None)
+    result, best = SetSearch(search, baseline).run() if there_is else (SearchResult(baseline, (), ()), None)
     verdict: Verdict = "no_gap"
     jobs: list[Job] = [partial(localise, dataset, baseline), *([partial(ceiling, baseline)] if there_is else [])]
     places, *most = _together(pool, jobs, cancelled)
-    ranking = _ranking(found, places)
-    items = found.candidates
+    ranking = _ranking(result, places)
+    items = result.candidates
     grounds = Grounds(
         baseline.score,
         tuple(tried(baseline, item, needs_strict_fit(item, places, baseline.effects)) for item in items),
@@ -163,7 +163,7 @@ def diagnose(
     if there_is:
         chosen = decide(grounds)
         verdict = "effect" if chosen else "unexplained"
-        best = next((item for item in found.candidates if chosen == set(item.added_to(baseline))), best)
+        best = next((item for item in result.candidates if chosen == set(item.added_to(baseline))), best)
     elif shows_in_the_check_alone(baseline):
         # Against a twin rare events do not count.
         verdict = "no_gap" if dataset.unmodelled else "unexplained"
@@ -191,18 +191,18 @@ def diagnose(
         effects = Listing(tuple(effect(name).title for name in without), "; ", "; ")
         remarks = (*remarks, Message("gap.left_out", "effects that were not tried: {effects}", effects=effects))
     shares = None if named is None else budget(baseline, path, smaller, remains_in)
-    odds = {} if named is None else _conditional_odds(found, named, ranking, places)
+    odds = {} if named is None else _conditional_odds(result, named, ranking, places)
     return Diagnosis(
         verdict,
         figures,
-        _with_stage_of_cause(places, named, known),
+        _with_stage_of_cause(places, named, accepted),
         ranking,
-        () if named is None else tuple(name for name in named.effects if name not in known),
-        _next(dataset, found, ranking, verdict, odds),
+        () if named is None else tuple(name for name in named.effects if name not in accepted),
+        _next(dataset, result, ranking, verdict, odds),
         remarks,
         time.monotonic() - began,
         dataset,
-        found,
+        result,
         best,
         float(np.fmax(most[0], figures.closed)) if there_is else float("nan"),
         odds,
@@ -223,29 +223,29 @@ def _call(job: Job) -> Any:
     return job()
 
 
-def _limits(names: Sequence[str], baseline: Candidate, found: Candidate) -> dict[str, DetectionLimit | None]:
-    limits = DetectionLimits(found, found.added_to(baseline))
-    library = effects_of(found.fit.parameters.dataset)
-    return {name: limits.of(library[name]) for name in names if name not in found.effects}
+def _limits(names: Sequence[str], baseline: Candidate, explanation: Candidate) -> dict[str, DetectionLimit | None]:
+    limits = DetectionLimits(explanation, explanation.added_to(baseline))
+    library = effects_of(explanation.fit.parameters.dataset)
+    return {name: limits.of(library[name]) for name in names if name not in explanation.effects}
 
 
 def _conditional_odds(
-    found: SearchResult, best: Candidate, ranking: Sequence[Ranked], places: Localisation
+    result: SearchResult, best: Candidate, ranking: Sequence[Ranked], places: Localisation
 ) -> dict[str, tuple[tuple[str, float], ...]]:
     # A member keeps its probability of the ranking of single effects where no rival was refitted with the others.
-    named = set(best.effects) - set(found.baseline.effects)
+    named = set(best.effects) - set(result.baseline.effects)
     if len(named) == 1:
         return {}
-    clearly = needs_strict_fit(best, places, found.baseline.effects)
+    clearly = needs_strict_fit(best, places, result.baseline.effects)
     odds = {}
     for name in named:
         others = set(best.effects) - {name}
         rivals = [
-            item for item in found.candidates if others < set(item.effects) and len(item.effects) == len(others) + 1
+            item for item in result.candidates if others < set(item.effects) and len(item.effects) == len(others) + 1
         ]
         if len(rivals) < 2 and name in {item.effect for item in ranking[:1]}:
             continue
-        shares = probabilities(found.baseline.score, [cost(item) for item in rivals], clearly=clearly)
+        shares = probabilities(result.baseline.score, [cost(item) for item in rivals], clearly=clearly)
         pairs = [(next(iter(set(item.effects) - others)), share) for item, share in zip(rivals, shares, strict=True)]
         odds[name] = tuple(sorted(pairs, key=lambda pair: -pair[1]))
     return odds
@@ -253,7 +253,7 @@ def _conditional_odds(
 
 def _next(
     dataset: Dataset,
-    found: SearchResult,
+    result: SearchResult,
     ranking: Sequence[Ranked],
     verdict: Verdict,
     odds: Mapping[str, tuple[tuple[str, float], ...]],
@@ -264,34 +264,34 @@ def _next(
         certain = all(dict(rivals).get(name, 0.0) >= CERTAIN for name, rivals in odds.items())
     if verdict == "no_gap" or (verdict == "effect" and certain):
         return None
-    singles = sorted(found.singles, key=cost)[:RANKED]
+    singles = sorted(result.singles, key=cost)[:RANKED]
     return next_experiment(dataset, singles, [item.probability for item in ranking])
 
 
-def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]) -> bool:
+def needs_strict_fit(best: Candidate, places: Localisation, baseline_effects: Sequence[str]) -> bool:
     """Return whether a candidate must meet the stricter condition of an explanation.
 
     That is the case where every added effect has an exact law, and where the stages show that the current does not
     follow from voltage and motion although every added effect only moves the probe.
     """
-    new = [effect(name) for name in best.effects if name not in known]
+    new = [effect(name) for name in best.effects if name not in baseline_effects]
     stages = {item.stage for item in new}
     blamed = {stage for stage, share in places.shares.items() if share > 0.0}
     only_moves = bool(blamed) and blamed <= _ELECTRICAL and stages <= _MOVING
     return only_moves or all(item.exact for item in new)
 
 
-def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Sequence[str]) -> Localisation:
+def _with_stage_of_cause(localisation: Localisation, best: Candidate | None, accepted: Sequence[str]) -> Localisation:
     # A named cause determines the stage more reliably than the evidence by stages.
     if best is None:
-        return found
-    stages = [effect(name).stage for name in best.effects if name not in known]
-    return found if found.stage in stages else replace(found, stage=stages[0])
+        return localisation
+    stages = [effect(name).stage for name in best.effects if name not in accepted]
+    return localisation if localisation.stage in stages else replace(localisation, stage=stages[0])
 
 
-def _ranking(found: SearchResult, places: Localisation) -> tuple[Ranked, ...]:
-    baseline = found.baseline
-    singles = sorted(found.singles, key=cost)
+def _ranking(result: SearchResult, places: Localisation) -> tuple[Ranked, ...]:
+    baseline = result.baseline
+    singles = sorted(result.singles, key=cost)
     clearly = bool(singles) and needs_strict_fit(singles[0], places, baseline.effects)
     shares = probabilities(baseline.score, [cost(item) for item in singles], clearly=clearly)
     names = [name for item in singles for name in item.added_to(baseline)]
@@ -357,18 +357,18 @@ class DetectionLimits:
     """Detection limits at a fit.
 
     Args:
-        found: the fit that explains the session: the baseline without a gap, or the named set.
+        explanation: the fit that explains the session: the baseline without a gap, or the named set.
         named: effects that it adds to the baseline.
     """
 
-    def __init__(self, found: Candidate, named: Sequence[str]) -> None:
-        self._fit = found.fit
-        self._screen = Screen(found.fit)
-        self._blocks = [block for _, block in residual_blocks(found.fit)]
-        self._left = [float(np.mean(found.fit.residuals[block] ** 2)) for block in self._blocks]
-        self._tests = len(found.fit.parameters.dataset.tests)
+    def __init__(self, explanation: Candidate, named: Sequence[str]) -> None:
+        self._fit = explanation.fit
+        self._screen = Screen(explanation.fit)
+        self._blocks = [block for _, block in residual_blocks(explanation.fit)]
+        self._left = [float(np.mean(explanation.fit.residuals[block] ** 2)) for block in self._blocks]
+        self._tests = len(explanation.fit.parameters.dataset.tests)
         # A further member of a set needs its gain; a first effect a certain gap.
-        self._wanted = THRESHOLDS.set_gain if named else max(THRESHOLDS.least_score - found.score, LEAST_RISE)
+        self._wanted = THRESHOLDS.set_gain if named else max(THRESHOLDS.least_score - explanation.score, LEAST_RISE)
 
     def of(self, effect: Effect) -> DetectionLimit | None:
         """Return the limit of an effect; None where no size within its bounds would have been named, or where its size
@@ -408,9 +408,9 @@ class DetectionLimits:
         # Half the logarithm of the error with and without the effect, as in ``decision.score``.
         change = self._screen.surviving_change(effect, values)
         added = [float(np.mean(change[block] ** 2)) for block in self._blocks]
-        return sum(0.5 * math.log1p(more / max(left, 1.0)) for more, left in zip(added, self._left, strict=True)) / max(
-            self._tests, 1
-        )
+        return sum(
+            0.5 * math.log1p(more / max(remaining, 1.0)) for more, remaining in zip(added, self._left, strict=True)
+        ) / max(self._tests, 1)
 
 
 def _scaled_parameters(effect: Effect, start: Sequence[float]) -> list[int]:

@@ -61,11 +61,11 @@ _MOVES = 0.5
 """A signal moves where its deviation is at least this share of the upper quartile over all stretches."""
 
 
-def spectrum_lines(found: ErrorSpectrum) -> dict[str, Array]:
+def spectrum_lines(spectrum: ErrorSpectrum) -> dict[str, Array]:
     """Return the amplitude densities of a spectrum by the name of the line; NaN where they are not shown."""
-    scale = UNITS[found.channel][3]
-    least = 0.1 * scale * float(np.sqrt(found.noise[0]))
-    every = {name: scale * np.sqrt(getattr(found, name)) for name in _LINES}
+    scale = UNITS[spectrum.channel][3]
+    least = 0.1 * scale * float(np.sqrt(spectrum.noise[0]))
+    every = {name: scale * np.sqrt(getattr(spectrum, name)) for name in _LINES}
     return {name: np.where(values >= least, values, np.nan) for name, values in every.items()}
 
 
@@ -88,16 +88,18 @@ def spectrum_plot(spectrum: GapSpectrum) -> Plot:
     )
 
 
-def gap_spectrum(found: ErrorSpectrum, bands_hz: tuple[tuple[float, float], ...]) -> GapSpectrum:
+def gap_spectrum(spectrum: ErrorSpectrum, bands_hz: tuple[tuple[float, float], ...]) -> GapSpectrum:
     """Return the amplitude densities of a spectrum with its significant bands."""
-    return GapSpectrum(found.channel, found.frequency_hz, spectrum_lines(found), bands_hz)
+    return GapSpectrum(spectrum.channel, spectrum.frequency_hz, spectrum_lines(spectrum), bands_hz)
 
 
-def profile_values(name: str, found: ErrorProfile) -> GapProfile:
+def profile_values(name: str, profile: ErrorProfile) -> GapProfile:
     """Return the profile of a name in its display unit; bins without data are left out."""
-    known = np.isfinite(found.error)
-    middle = 0.5 * PROFILES[name][2] * (found.edges[1:] + found.edges[:-1])
-    return GapProfile(middle[known], np.maximum(found.error[known], _LEAST_ERROR), np.asarray(found.above[known]))
+    with_data = np.isfinite(profile.error)
+    middle = 0.5 * PROFILES[name][2] * (profile.edges[1:] + profile.edges[:-1])
+    return GapProfile(
+        middle[with_data], np.maximum(profile.error[with_data], _LEAST_ERROR), np.asarray(profile.above[with_data])
+    )
 
 
 def profile_plot(name: str, profile: GapProfile) -> Plot:
@@ -128,11 +130,11 @@ def overlay_plots(shown: SignalOverlay) -> tuple[Plot, Plot]:
     label = label_and_unit(shown.channel)[0]
     before, after = marked("before"), marked("after")
     simulated = [Curve(shown.time, shown.before, before, "model", "dashed", width=0.8)]
-    left = [Curve(shown.time, shown.left_before, colour="model", width=0.7)]
+    residuals = [Curve(shown.time, shown.left_before, colour="model", width=0.7)]
     if shown.after is not None:
         simulated.append(Curve(shown.time, shown.after, after, "measured", width=0.8))
     if shown.left_after is not None:
-        left.append(Curve(shown.time, shown.left_after, colour="measured", width=0.7))
+        residuals.append(Curve(shown.time, shown.left_after, colour="measured", width=0.7))
     recorded = Curve(shown.time, shown.recorded, marked("recorded"), "muted", opacity=0.55, width=2.4)
     ends = shown.time[[0, -1]]
     noise = [
@@ -147,26 +149,26 @@ def overlay_plots(shown: SignalOverlay) -> tuple[Plot, Plot]:
             (recorded, *simulated),
             note=marked("A tenth of a second of held-out data"),
         ),
-        Plot(marked("Recorded less simulated"), TIME, Axis(marked("Left over"), fine_unit), (*left, *noise)),
+        Plot(marked("Recorded less simulated"), TIME, Axis(marked("Left over"), fine_unit), (*residuals, *noise)),
     )
 
 
-def overlays_of(found: Diagnosis) -> tuple[SignalOverlay, ...]:
+def overlays_of(diagnosis: Diagnosis) -> tuple[SignalOverlay, ...]:
     """Return every signal over the held-out stretch that shows the gap most, the signal with the largest gap first.
 
     Raises:
         UnusableInputError: every sample was fitted.
     """
-    worst = found.where.regions.channel
-    test, first, last = largest_held_out_error(found, worst)
+    worst = diagnosis.where.regions.channel
+    test, first, last = largest_held_out_error(diagnosis, worst)
     shown = slice(first, last)
     time = np.arange(first, last) / test.sample_rate_hz
-    best = found.best if found.verdict != "no_gap" else None
+    best = diagnosis.best if diagnosis.verdict != "no_gap" else None
     overlays = []
-    for name in sorted(found.dataset.channels, key=lambda name: name != worst):
+    for name in sorted(diagnosis.dataset.channels, key=lambda name: name != worst):
         _unit, scale, _fine_unit, fine = UNITS[name]
         recorded = test.signals[name][shown]
-        before = _simulated(found.found.baseline, test, name)[shown]
+        before = _simulated(diagnosis.search_result.baseline, test, name)[shown]
         after = None if best is None else _simulated(best, test, name)[shown]
         overlays.append(
             SignalOverlay(
@@ -177,7 +179,7 @@ def overlays_of(found: Diagnosis) -> tuple[SignalOverlay, ...]:
                 None if after is None else scale * after,
                 fine * (recorded - before),
                 None if after is None else fine * (recorded - after),
-                fine * found.dataset.noise[name],
+                fine * diagnosis.dataset.noise[name],
             )
         )
     return tuple(overlays)
@@ -186,11 +188,11 @@ def overlays_of(found: Diagnosis) -> tuple[SignalOverlay, ...]:
 def _simulated(candidate: Candidate, test: DatasetTest, name: str) -> Array:
     """Return a signal of a test simulated by a candidate, shape (n,), SI."""
     tests = candidate.fit.parameters.dataset.tests
-    place = next(k for k, item in enumerate(tests) if item.number == test.number)
-    return candidate.fit.predictions[place][name]
+    index = next(k for k, item in enumerate(tests) if item.number == test.number)
+    return candidate.fit.predictions[index][name]
 
 
-def largest_held_out_error(found: Diagnosis, channel: str) -> tuple[DatasetTest, int, int]:
+def largest_held_out_error(diagnosis: Diagnosis, channel: str) -> tuple[DatasetTest, int, int]:
     """Return the test, first sample and end of the held-out block with the largest error of the baseline.
 
     Blocks in which the signal is almost constant are ignored: they show an offset at most.
@@ -199,12 +201,14 @@ def largest_held_out_error(found: Diagnosis, channel: str) -> tuple[DatasetTest,
         UnusableInputError: there is none.
     """
     tried: list[tuple[float, float, DatasetTest, int, int]] = []
-    for test in found.dataset.tests:
-        if test.quiet and len(found.dataset.tests) > 1:
+    for test in diagnosis.dataset.tests:
+        if test.quiet and len(diagnosis.dataset.tests) > 1:
             continue
         held = test.purpose > 1
         size = max(8, round(BLOCK_S * test.sample_rate_hz))
-        error = (test.signals[channel] - _simulated(found.found.baseline, test, channel)) / found.dataset.noise[channel]
+        error = (
+            test.signals[channel] - _simulated(diagnosis.search_result.baseline, test, channel)
+        ) / diagnosis.dataset.noise[channel]
         for start in range(0, max(1, error.size - size + 1), max(1, size // 2)):
             inside = held[start : start + size] & np.isfinite(error[start : start + size])
             if held[start : start + size].mean() < _UNSEEN or not inside.any():
@@ -218,20 +222,20 @@ def largest_held_out_error(found: Diagnosis, channel: str) -> tuple[DatasetTest,
     return max((item for item in tried if item[1] >= least), key=lambda item: item[0])[2:]
 
 
-def budget_rows(found: Diagnosis) -> tuple[BudgetRow, ...]:
+def budget_rows(diagnosis: Diagnosis) -> tuple[BudgetRow, ...]:
     """Return the bars from the gap before to the noise floor: one for each named effect, then what remains.
 
     Without a named effect, the gap with the best candidate takes their place.
     """
-    figures = found.gap
+    figures = diagnosis.gap
     rows = [BudgetRow(marked("Before"), 0.0, figures.before, "model")]
-    if found.budget is not None:
-        before = found.budget.before
-        for step in found.budget.steps:
+    if diagnosis.budget is not None:
+        before = diagnosis.budget.before
+        for step in diagnosis.budget.steps:
             rows.append(BudgetRow(effect_title(step.effect), min(step.gap_after, before), before, "measured"))
             before = step.gap_after
-        rows.append(BudgetRow(marked("After"), 0.0, found.budget.after, "model"))
-    elif found.best is not None:
+        rows.append(BudgetRow(marked("After"), 0.0, diagnosis.budget.after, "model"))
+    elif diagnosis.best is not None:
         rows.append(BudgetRow(marked("After"), 0.0, figures.after, "model"))
     rows.append(BudgetRow(marked("Noise alone"), 0.0, figures.floor, "check"))
     return tuple(row for row in rows if np.isfinite(row.high))
@@ -244,19 +248,19 @@ def ranking_plots(candidates: Sequence[Ranked]) -> tuple[Plot, Plot]:
     probability = 100.0 * np.array([item.probability for item in candidates])
     closed = 100.0 * np.maximum([item.closed for item in candidates], -1.0)
     low, high = 100.0 * np.clip([item.closed_ci for item in candidates], -1.0, 1.0).T
-    left: list[Bars] = []
-    right = [Curve(np.zeros(1), np.zeros(1), "", "muted", "position", width=0.8)]
+    bars: list[Bars] = []
+    curves = [Curve(np.zeros(1), np.zeros(1), "", "muted", "position", width=0.8)]
     for role, some in (("model", alike), ("measured", ~alike)):
-        left.append(Bars(rows[some], probability[some], 0.62, colour=role, across=True, opacity=0.85))
+        bars.append(Bars(rows[some], probability[some], 0.62, colour=role, across=True, opacity=0.85))
         some = some & np.isfinite(closed)
         interval = Curve(closed[some], rows[some], "", role, "bars", low[some], high[some], across=True)
-        right.append(interval)
+        curves.append(interval)
     ticks = tuple((row, effect_title(item.effect)) for row, item in zip(rows.tolist(), candidates, strict=True))
     y = Axis(limits=(-0.5, rows.size - 0.5), reverse=True, ticks=ticks)
     least = min(-5.0, 1.05 * float(np.nanmin(low[np.isfinite(closed)], initial=0.0)))
     return (
-        Plot("", Axis(marked("Probability"), "%", limits=(0.0, 100.0)), y, tuple(left)),
-        Plot("", Axis(marked("Closed"), "%", limits=(least, 102.0)), y, tuple(right)),
+        Plot("", Axis(marked("Probability"), "%", limits=(0.0, 100.0)), y, tuple(bars)),
+        Plot("", Axis(marked("Closed"), "%", limits=(least, 102.0)), y, tuple(curves)),
     )
 
 
@@ -286,14 +290,14 @@ def budget_plot(rows: Sequence[BudgetRow]) -> Plot:
 
 def history_plot(history: GapHistory) -> Plot:
     """Return gap and floor of every session over time; the first session in which the gap grew is marked."""
-    known = [entry for entry in history.entries if entry.answer is not None]
+    diagnosed = [entry for entry in history.entries if entry.answer is not None]
     title, y_axis = marked("Gap over time"), Axis(marked("Gap"), "%")
-    time, x_axis = _times(known)
-    if not known:
+    time, x_axis = _times(diagnosed)
+    if not diagnosed:
         return Plot(title, x_axis, y_axis, missing=marked("There is no data to show."))
-    gap = 100.0 * np.array([entry.gap("before") for entry in known])
-    floor = 100.0 * np.array([entry.gap("floor") for entry in known])
-    grew = np.array([entry.grew for entry in known])
+    gap = 100.0 * np.array([entry.gap("before") for entry in diagnosed])
+    floor = 100.0 * np.array([entry.gap("floor") for entry in diagnosed])
+    grew = np.array([entry.grew for entry in diagnosed])
     parts = [
         Curve(time, floor, marked("noise floor"), "check", "dashed", width=0.9),
         Curve(time, gap, colour="muted", width=0.7),
@@ -302,7 +306,7 @@ def history_plot(history: GapHistory) -> Plot:
     ]
     first = history.first_grown
     if first is not None:
-        at = time[known.index(first)]
+        at = time[diagnosed.index(first)]
         parts.append(
             Curve(np.array([at]), np.zeros(1), marked("first session in which it grew"), "poor", "position", width=0.8)
         )
@@ -315,9 +319,9 @@ def history_plot(history: GapHistory) -> Plot:
 def _times(entries: Sequence[GapHistoryEntry]) -> tuple[Array, Axis]:
     # Time since the first session, or the number of the session where a time is unknown.
     times = [entry.time for entry in entries]
-    known = [time for time in times if time is not None]
-    if not known or len(known) < len(times):
+    dated = [time for time in times if time is not None]
+    if not dated or len(dated) < len(times):
         return np.arange(1.0, len(entries) + 1.0), Axis(marked("Session"))
-    seconds = np.array([(time - known[0]).total_seconds() for time in known])
+    seconds = np.array([(time - dated[0]).total_seconds() for time in dated])
     unit, factor = ("h", 3600.0) if seconds.max() < _HOURS_BELOW_S else ("d", 86400.0)
     return seconds / factor, Axis(marked("Time since the first session"), unit)

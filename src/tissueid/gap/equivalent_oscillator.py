@@ -190,8 +190,8 @@ def equivalent(
     force = float(np.sqrt(np.mean([np.var(given) for given, _ in records])))
     speed = float(np.sqrt(np.mean([np.var(np.diff(output)) for _, output in records]))) * sample_rate_hz
     lines = frequency_response(records, sample_rate_hz)
-    found = [(*_fitted(lines, sample_rate_hz, held), held) for held in (False, True)]
-    _, delay, figures, held = found[1] if found[1][0] < _HELD_ERROR_RATIO * found[0][0] else found[0]
+    fits = [(*_fitted(lines, sample_rate_hz, held), held) for held in (False, True)]
+    _, delay, figures, held = fits[1] if fits[1][0] < _HELD_ERROR_RATIO * fits[0][0] else fits[0]
     slowness = motion / max(speed, 1e-30)
     output_m = min(max(MOTION_M, SPEED_M_S * slowness), MOST_MOTION_M) / motion
     stiffness, damping, mass = figures
@@ -270,8 +270,8 @@ def _at_delay(
         if not denominator.all():
             return np.inf, delay, (0.0, 0.0, 0.0)
     model = way / (figures[0] - figures[2] * lines.omega**2 + 1j * figures[1] * lines.omega + 1e-300)
-    left = float(np.sum(lines.weight * np.abs(lines.response - model) ** 2))
-    return left, delay, (float(figures[0]), float(figures[1]), float(figures[2]))
+    error = float(np.sum(lines.weight * np.abs(lines.response - model) ** 2))
+    return error, delay, (float(figures[0]), float(figures[1]), float(figures[2]))
 
 
 def resampled(values: FloatArray, times: int, *, held: bool) -> FloatArray:

@@ -171,9 +171,11 @@ def recent_size(test: DatasetTest, device: DeviceDescription) -> FloatArray:
 
 def _residual(baseline: Fit, test: DatasetTest, channel: str) -> FloatArray:
     tests = baseline.parameters.dataset.tests
-    predicted = next(one for one, other in zip(baseline.predictions, tests, strict=True) if other.number == test.number)
-    left = test.signals[channel] - predicted[channel]
-    return np.where(test.purpose > 0, left, np.nan)
+    predicted = next(
+        prediction for prediction, other in zip(baseline.predictions, tests, strict=True) if other.number == test.number
+    )
+    residual = test.signals[channel] - predicted[channel]
+    return np.where(test.purpose > 0, residual, np.nan)
 
 
 def _shown_in(dataset: Dataset, baseline: Fit) -> tuple[DatasetTest | None, str]:
@@ -190,20 +192,20 @@ def _shown_in(dataset: Dataset, baseline: Fit) -> tuple[DatasetTest | None, str]
 
 
 def _profile(residual: FloatArray, along: FloatArray, test: DatasetTest, name: str) -> ErrorProfile:
-    known = np.isfinite(residual)
+    finite = np.isfinite(residual)
     if name == "time_s":
         edges = np.arange(0.0, along[-1] + _BLOCK_S, _BLOCK_S)
     elif name == "mains_phase_rad":
         edges = np.linspace(0.0, 2.0 * np.pi, _BINS + 1)
     else:
-        low, high = np.quantile(along[known], [0.002, 0.998])
+        low, high = np.quantile(along[finite], [0.002, 0.998])
         edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
-    place = np.clip(np.digitize(along, edges) - 1, 0, edges.size - 2)
+    bin_index = np.clip(np.digitize(along, edges) - 1, 0, edges.size - 2)
     seconds = {"time_s": 0.02, "amplitude_n": _AMPLITUDE_WINDOW_S}.get(name, _BLOCK_S)
     block = (np.arange(along.size) / (seconds * test.sample_rate_hz)).astype(np.int64)
     error, p_values = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
     for k in range(edges.size - 1):
-        inside = known & (place == k)
+        inside = finite & (bin_index == k)
         if inside.sum() < 8:
             continue
         error[k] = float(np.sqrt(np.mean(residual[inside] ** 2)))
@@ -232,10 +234,10 @@ def _holm(p_values: FloatArray) -> NDArray[np.bool_]:
 
 
 def _direction(residual: FloatArray, velocity: FloatArray) -> Direction:
-    known = np.isfinite(residual)
+    finite = np.isfinite(residual)
     slow = 0.1 * float(np.std(velocity))
-    into = float(np.mean(residual[known & (velocity > slow)] ** 2)) if (known & (velocity > slow)).any() else 0.0
-    out = float(np.mean(residual[known & (velocity < -slow)] ** 2)) if (known & (velocity < -slow)).any() else 0.0
+    into = float(np.mean(residual[finite & (velocity > slow)] ** 2)) if (finite & (velocity > slow)).any() else 0.0
+    out = float(np.mean(residual[finite & (velocity < -slow)] ** 2)) if (finite & (velocity < -slow)).any() else 0.0
     if max(into, out) < _EXCESS:
         return "both"
     if into > _ONE_SIDED * out:
@@ -280,11 +282,11 @@ def spectrum(dataset: Dataset, baseline: Fit, test: DatasetTest, channel: str) -
     """Return the residual of a channel by frequency, in its parts."""
     residual = _residual(baseline, test, channel)
     values = np.where(np.isfinite(residual), residual, 0.0)
-    hz, left, norm = _segments(values, test.sample_rate_hz)
+    hz, segments, norm = _segments(values, test.sample_rate_hz)
     _, recorded, _ = _segments(interpolated(test.signals[channel]), test.sample_rate_hz)
     command = (test.command - test.command.mean()) / max(float(np.std(test.command)), 1e-12)
-    power = np.mean(np.abs(left) ** 2, axis=0) / norm
-    parts, rest = [], left
+    power = np.mean(np.abs(segments) ** 2, axis=0) / norm
+    parts, rest = [], segments
     for values in (command, command**2 - 1.0, command**3 - 3.0 * command):
         _, driver, _ = _segments(values, test.sample_rate_hz)
         # In order, so that a higher order does not explain the part of a lower one again.
@@ -306,15 +308,15 @@ def _gathered(values: FloatArray, hz: FloatArray) -> FloatArray:
 
 
 def _surface(residual: FloatArray, depth: FloatArray, velocity: FloatArray) -> ErrorSurface | None:
-    known = np.isfinite(residual)
-    if known.sum() < 100:
+    finite = np.isfinite(residual)
+    if finite.sum() < 100:
         return None
-    across = _grid(depth[known], 0.005)
-    along = _grid(velocity[known], 0.01)
+    across = _grid(depth[finite], 0.005)
+    along = _grid(velocity[finite], 0.01)
     if np.ptp(across) <= 0.0 or np.ptp(along) <= 0.0:
         return None
-    count, *_ = np.histogram2d(velocity[known], depth[known], (along, across))
-    total, *_ = np.histogram2d(velocity[known], depth[known], (along, across), weights=residual[known])
+    count, *_ = np.histogram2d(velocity[finite], depth[finite], (along, across))
+    total, *_ = np.histogram2d(velocity[finite], depth[finite], (along, across), weights=residual[finite])
     mean = np.where(count >= 5, total / np.maximum(count, 1), np.nan)
     return ErrorSurface(0.5 * (across[1:] + across[:-1]), 0.5 * (along[1:] + along[:-1]), mean)
 

@@ -81,20 +81,20 @@ class Screen:
         """Return the signature of an effect at each of the starts and at the most visible point of its grid; at all its
         starting points without ``starts``."""
         declared = starts or starts_of(self._baseline.parameters.dataset, effect, self._baseline.predictions)
-        found = []
+        signatures = []
         for start in dict.fromkeys((*declared, *self._most_visible_starts(effect))):
             added, slopes = self._differences.at(effect, start)
             span = self.surviving(np.column_stack([added, slopes]))
             sizes = np.linalg.norm(span, axis=0)
             span = span[:, sizes > 1e-9 * max(float(sizes.max()), 1e-300)]
             if not span.shape[1]:
-                found.append(Signature(effect.name, start, 0.0))
+                signatures.append(Signature(effect.name, start, 0.0))
                 continue
             shares, *_ = np.linalg.lstsq(span / np.linalg.norm(span, axis=0), self._left, rcond=1e-6)
             surviving = (span / np.linalg.norm(span, axis=0)) @ shares
             along = float(surviving @ surviving) / self._size if self._size > 0.0 else 0.0
-            found.append(Signature(effect.name, start, along))
-        return found
+            signatures.append(Signature(effect.name, start, along))
+        return signatures
 
     def _most_visible_starts(self, effect: Effect) -> list[tuple[float, ...]]:
         # The point of the grid at which the effect, at any size, is closest to the residual of the baseline, for each
@@ -119,22 +119,22 @@ class Screen:
         return self._refit.surviving(values)
 
 
-def cosine(one: FloatArray, other: FloatArray) -> float:
+def cosine(first: FloatArray, second: FloatArray) -> float:
     """Return the absolute cosine between two signatures; 0 where one is zero."""
-    size = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return abs(float(one @ other)) / size if size > 0.0 else 0.0
+    size = float(np.linalg.norm(first) * np.linalg.norm(second))
+    return abs(float(first @ second)) / size if size > 0.0 else 0.0
 
 
 def best_aligned(signatures: Sequence[Signature], most_starts: int = 2) -> list[Signature]:
     """Return the best aligned start of every effect and, up to ``most_starts``, those nearly as well aligned; best
     first."""
-    found: dict[str, list[Signature]] = {}
+    by_effect: dict[str, list[Signature]] = {}
     for item in sorted(signatures, key=lambda item: -item.alignment):
-        of_effect = found.setdefault(item.effect, [])
+        of_effect = by_effect.setdefault(item.effect, [])
         near_best = not of_effect or item.alignment >= LIMITS.second_start * of_effect[0].alignment
         if near_best and len(of_effect) < most_starts:
             of_effect.append(item)
-    return sorted((item for items in found.values() for item in items), key=lambda item: -item.alignment)
+    return sorted((item for items in by_effect.values() for item in items), key=lambda item: -item.alignment)
 
 
 ESTIMATES_IN_A_SHORT_FIT = 1
@@ -164,16 +164,16 @@ def refit(task: Task) -> Candidate:
     near, starts = task.near, task.starts
     if task.tracking_rad_s and task.dataset.equivalent is None:
         near, starts = _tracked(task, effects)
-    found = fit(task.dataset, effects, starts, near=near, most_steps=task.most_steps)
-    return score_candidate(re_estimate(found, task.most_steps, _readings(task, effects)))
+    fitted = fit(task.dataset, effects, starts, near=near, most_steps=task.most_steps)
+    return score_candidate(re_estimate(fitted, task.most_steps, _readings(task, effects)))
 
 
 def _readings(task: Task, effects: Sequence[Effect]) -> int:
     # A short fit keeps the estimates of the fit from which it starts.
     if task.most_steps == LIMITS.most_steps:
         return ESTIMATES
-    known = all(item in task.near.parameters.effects for item in effects if item.re_estimate)
-    return 0 if known and task.most_steps < LIMITS.steps_to_re_estimate else ESTIMATES_IN_A_SHORT_FIT
+    already_estimated = all(item in task.near.parameters.effects for item in effects if item.re_estimate)
+    return 0 if already_estimated and task.most_steps < LIMITS.steps_to_re_estimate else ESTIMATES_IN_A_SHORT_FIT
 
 
 def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[float, ...], ...]]:
@@ -187,9 +187,9 @@ def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[fl
         )
     if part is task.dataset:
         return near, starts
-    found = fit(part, effects, starts, near=near, most_steps=task.most_steps)
-    values = [found.parameters.effect_values(found.theta, held, part.tests[0].number) for held in effects]
-    near = _with_values(task.near, {name: found.value(name) for name in found.parameters.index})
+    fitted = fit(part, effects, starts, near=near, most_steps=task.most_steps)
+    values = [fitted.parameters.effect_values(fitted.theta, held, part.tests[0].number) for held in effects]
+    near = _with_values(task.near, {name: fitted.value(name) for name in fitted.parameters.index})
     return near, tuple(tuple(map(float, of_effect)) for of_effect in values)
 
 
@@ -206,40 +206,40 @@ def _liveliest(dataset: Dataset) -> Dataset:
     return replace(dataset, tests=(fitted[max(on_tissue, key=speeds.__getitem__)],))
 
 
-def _with_values(found: Fit, values: Mapping[str, float]) -> Fit:
+def _with_values(fitted: Fit, values: Mapping[str, float]) -> Fit:
     # A fit with other values of some coordinates, from which another fit can start.
-    theta = found.theta.copy()
+    theta = fitted.theta.copy()
     for name, value in values.items():
-        if name in found.parameters.index:
-            theta[found.parameters.index[name]] = value
-    return replace(found, theta=theta)
+        if name in fitted.parameters.index:
+            theta[fitted.parameters.index[name]] = value
+    return replace(fitted, theta=theta)
 
 
 def screen(near: Fit, items: Sequence[tuple[str, Sequence[tuple[float, ...]]]]) -> list[Signature]:
     """Return the signatures of effects on the residual of a fit, at the given starting points of each, or at all where
     none are given; called in a worker process."""
     screening, library = Screen(near), effects_of(near.parameters.dataset)
-    return [found for name, starts in items for found in screening.signatures(library[name], starts)]
+    return [signature for name, starts in items for signature in screening.signatures(library[name], starts)]
 
 
 def best_starts(near: Fit, name: str) -> list[tuple[float, ...]]:
     """Return the starting points of an effect that are best aligned with the residual of a fit, best first."""
-    found = sorted(screen(near, [(name, ())]), key=lambda item: -item.alignment)
-    return [item.start for item in found[: LIMITS.beam]]
+    signatures = sorted(screen(near, [(name, ())]), key=lambda item: -item.alignment)
+    return [item.start for item in signatures[: LIMITS.beam]]
 
 
-def other_minima(found: Fit) -> list[Fit]:
+def other_minima(fitted: Fit) -> list[Fit]:
     """Return the fit with some values of one of its effects replaced by those of another minimum, for each of them."""
     return [
         _with_values(
-            found,
+            fitted,
             {
                 f"{held.name}.{item.name}": float(np.log(values[item.name])) if item.logarithmic else values[item.name]
                 for item in held.parameters
                 if item.name in values
             },
         )
-        for held in found.parameters.effects
+        for held in fitted.parameters.effects
         for values in held.other_minima
     ]
 

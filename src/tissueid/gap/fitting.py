@@ -39,11 +39,11 @@ def predict(
     step_s: float = STEP_S,
 ) -> Predictions:
     """Return the prediction of each test by channel, simulated from the excitation only in steps of ``step_s``."""
-    found = []
+    predictions = []
     for test in parameters.dataset.tests if tests is None else tests:
         readings = simulate_test(parameters, theta, test, substeps=substeps_of(test, step_s))
-        found.append({name: getattr(readings, name) for name in parameters.dataset.channels})
-    return found
+        predictions.append({name: getattr(readings, name) for name in parameters.dataset.channels})
+    return predictions
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,10 @@ class Fit:
     @property
     def prediction_of_test(self) -> dict[int, dict[str, FloatArray]]:
         """Prediction of each test by its number."""
-        return {test.number: found for test, found in zip(self.parameters.dataset.tests, self.predictions, strict=True)}
+        return {
+            test.number: prediction
+            for test, prediction in zip(self.parameters.dataset.tests, self.predictions, strict=True)
+        }
 
     def value(self, name: str) -> float:
         """Return a coordinate by name, in fitted units."""
@@ -109,57 +112,57 @@ def fit(
     return _Search(parameters, cancelled).run(theta, near, most_steps)
 
 
-def re_estimate(found: Fit, most_steps: int = LIMITS.most_steps, readings: int = ESTIMATES) -> Fit:
+def re_estimate(fitted: Fit, most_steps: int = LIMITS.most_steps, readings: int = ESTIMATES) -> Fit:
     """Re-estimate the per-test parameters at a fit and refit. Return the better of the two fits.
 
     Args:
-        found: the fit; returned unchanged where none of its effects is re-estimated.
+        fitted: the fit; returned unchanged where none of its effects is re-estimated.
         most_steps: most accepted steps of each refit.
         readings: most re-estimates; the fit is returned unchanged with 0.
     """
-    parameters = found.parameters
+    parameters = fitted.parameters
     again = [effect for effect in parameters.effects if effect.re_estimate]
     if not again or not readings:
-        return found
+        return fitted
     for _ in range(readings):
         for effect in again:
-            without = predict(found.parameters.without(effect.name), found.theta)
+            without = predict(fitted.parameters.without(effect.name), fitted.theta)
             parameters = parameters.re_estimate(effect, without)
-        if parameters.constants == found.parameters.constants:
+        if parameters.constants == fitted.parameters.constants:
             break
-        from_there = replace(found, parameters=parameters)
+        from_there = replace(fitted, parameters=parameters)
         better = fit(parameters.dataset, parameters.effects, near=from_there, most_steps=most_steps)
-        if better.cost >= found.cost:
+        if better.cost >= fitted.cost:
             break
-        found, parameters = better, better.parameters
-    return _with_held_out_estimates(found)
+        fitted, parameters = better, better.parameters
+    return _with_held_out_estimates(fitted)
 
 
-def _with_held_out_estimates(found: Fit) -> Fit:
+def _with_held_out_estimates(fitted: Fit) -> Fit:
     # Per-test parameters of held-out tests are re-estimated at the final fit, without a refit.
-    parameters = found.parameters
+    parameters = fitted.parameters
     held_out = [test for test in parameters.dataset.tests if not test.serving(Purpose.FIT).any()]
     if not held_out:
-        return found
+        return fitted
     for effect in parameters.effects:
         if effect.re_estimate:
-            fresh = parameters.re_estimate(effect, predict(parameters.without(effect.name), found.theta)).constants
+            fresh = parameters.re_estimate(effect, predict(parameters.without(effect.name), fitted.theta)).constants
             own = {name: fresh[name] for name in fresh if name.endswith(tuple(f"@{test.number}" for test in held_out))}
             parameters = replace(parameters, constants=parameters.constants | own)
     again = {
-        test.number: value for test, value in zip(held_out, predict(parameters, found.theta, held_out), strict=True)
+        test.number: value for test, value in zip(held_out, predict(parameters, fitted.theta, held_out), strict=True)
     }
     predictions = [
-        again.get(test.number, kept) for test, kept in zip(parameters.dataset.tests, found.predictions, strict=True)
+        again.get(test.number, kept) for test, kept in zip(parameters.dataset.tests, fitted.predictions, strict=True)
     ]
-    return replace(found, parameters=parameters, predictions=predictions)
+    return replace(fitted, parameters=parameters, predictions=predictions)
 
 
-def residual_blocks(found: Fit) -> list[tuple[int, slice]]:
+def residual_blocks(fitted: Fit) -> list[tuple[int, slice]]:
     """Return the number of the test and the places in ``Fit.residuals`` of each channel of each fitted test."""
     blocks, end = [], 0
-    for test in found.parameters.dataset.tests:
-        for name in found.parameters.dataset.channels:
+    for test in fitted.parameters.dataset.tests:
+        for name in fitted.parameters.dataset.channels:
             size = int((test.serving(Purpose.FIT) & np.isfinite(test.signals[name])).sum())
             blocks += [(test.number, slice(end, end + size))] if size else []
             end += size
@@ -173,18 +176,18 @@ class LinearRefit:
     time of all columns together. What updates by secants add to these columns elsewhere is left out.
 
     Args:
-        found: the fit.
+        fitted: the fit.
         without: an effect whose coordinates are not refitted.
     """
 
-    def __init__(self, found: Fit, without: str = "") -> None:
-        slopes = found.jacobian.astype(np.float64)
-        coordinates = found.parameters.coordinates
+    def __init__(self, fitted: Fit, without: str = "") -> None:
+        slopes = fitted.jacobian.astype(np.float64)
+        coordinates = fitted.parameters.coordinates
         refitted = [k for k, item in enumerate(coordinates) if not (without and item.name.startswith(f"{without}."))]
         # Places of the residuals with orthonormal columns that span the derivatives there.
         self._bases: list[tuple[slice, FloatArray]] = []
         places: dict[int, slice] = {}
-        for test, block in residual_blocks(found):
+        for test, block in residual_blocks(fitted):
             places[test] = slice(places.get(test, block).start, block.stop)
         for number, rows in places.items():
             own = slopes[rows, [k for k in refitted if coordinates[k].test == number]]
@@ -194,26 +197,26 @@ class LinearRefit:
 
     def surviving(self, values: FloatArray) -> FloatArray:
         """Return what is left of changes of the residuals, shape (residuals,) or (residuals, changes)."""
-        left = values.copy()
+        remaining = values.copy()
         for rows, basis in self._bases:
-            left[rows] -= basis @ (basis.T @ left[rows])
-        return left
+            remaining[rows] -= basis @ (basis.T @ remaining[rows])
+        return remaining
 
 
-def _basis(left: FloatArray, columns: FloatArray) -> FloatArray:
+def _basis(remaining: FloatArray, columns: FloatArray) -> FloatArray:
     # Orthonormal columns that span what is left of some columns, without those of which hardly anything is left.
-    norms = np.linalg.norm(left, axis=0)
+    norms = np.linalg.norm(remaining, axis=0)
     kept = norms > ABSORBED * np.linalg.norm(columns, axis=0)
-    found: FloatArray = np.linalg.qr(left[:, kept] / norms[kept])[0]
-    return found
+    basis: FloatArray = np.linalg.qr(remaining[:, kept] / norms[kept])[0]
+    return basis
 
 
-def residuals_without(found: Fit, name: str) -> FloatArray:
+def residuals_without(fitted: Fit, name: str) -> FloatArray:
     """Return the residuals of a fit without one of its effects, shape as ``Fit.residuals``, after a refit of the other
     coordinates to first order."""
-    parameters = found.parameters
-    left, _ = _Search(parameters.without(name), weighed_as=parameters).residuals(found.theta)
-    return LinearRefit(found, without=name).surviving(left)
+    parameters = fitted.parameters
+    residuals, _ = _Search(parameters.without(name), weighed_as=parameters).residuals(fitted.theta)
+    return LinearRefit(fitted, without=name).surviving(residuals)
 
 
 class Differences:
@@ -221,8 +224,8 @@ class Differences:
 
     def __init__(self, baseline: Fit) -> None:
         self._baseline = baseline
-        known = _Search(baseline.parameters)
-        self._before, _ = known.residuals(baseline.theta, step_s=SLOPE_STEP_S)
+        search = _Search(baseline.parameters)
+        self._before, _ = search.residuals(baseline.theta, step_s=SLOPE_STEP_S)
 
     def at(self, effect: Effect, start: Sequence[float], *, slopes: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the change by an effect at a starting point, shape as ``Fit.residuals``.
@@ -285,15 +288,15 @@ class _Search:
         bounds = Bounds(self._low, self._high, self._parameters.array("reach"))
         problem = SecantProblem(self.residuals, self._jacobian, self._steps, bounds, prior)
         of_same_tests = near is not None and near.prediction_of_test.keys() == {test.number for test in self._tests}
-        known = partial(self._jacobian, near=near) if of_same_tests else None
+        first_jacobian = partial(self._jacobian, near=near) if of_same_tests else None
         search = partial(minimise, problem, tolerance=TOLERANCE, bounds=bounds)
-        found = search(problem.start(theta, known), most_steps=most_steps)
-        if found.converged and self._coarser and (most_steps == LIMITS.most_steps or found.steps == 0):
+        outcome = search(problem.start(theta, first_jacobian), most_steps=most_steps)
+        if outcome.converged and self._coarser and (most_steps == LIMITS.most_steps or outcome.steps == 0):
             # A fit to the end needs exact derivatives, and so does one that coarse ones do not let begin.
             self._slope_step_s = STEP_S
-            more = search(problem.restart(found.point), most_steps=most_steps)
-            found = replace(more, steps=found.steps + more.steps)
-        best = found.point
+            more = search(problem.restart(outcome.point), most_steps=most_steps)
+            outcome = replace(more, steps=outcome.steps + more.steps)
+        best = outcome.point
         problem.follow(best)
         predictions = list(best.extra)
         # Those of the tests that are held out completely are missing.
@@ -302,18 +305,18 @@ class _Search:
         for k, predicted in zip(others, left_out, strict=True):
             predictions[k] = predicted
         slopes = problem.jacobian.astype(np.float32)
-        return Fit(self._parameters, best.theta, best.cost, predictions, best.residuals, slopes, found.steps)
+        return Fit(self._parameters, best.theta, best.cost, predictions, best.residuals, slopes, outcome.steps)
 
     def _jacobian(self, theta: FloatArray, residuals: FloatArray, near: Fit | None = None) -> FloatArray:
         # Columns known from another fit are reused.
         names = [item.name for item in self._parameters.coordinates]
-        known = {} if near is None else {k: near.parameters.index.get(name) for k, name in enumerate(names)}
-        new = [k for k in range(theta.size) if known.get(k) is None]
+        reused = {} if near is None else {k: near.parameters.index.get(name) for k, name in enumerate(names)}
+        new = [k for k in range(theta.size) if reused.get(k) is None]
         jacobian = np.empty((residuals.size, theta.size), order="F")
         if new and self._coarser and self._slope_step_s == SLOPE_STEP_S:
             residuals, _ = self.residuals(theta, step_s=SLOPE_STEP_S)
         jacobian[:, new] = self.slopes(theta, residuals, new)
-        for k, column in known.items():
+        for k, column in reused.items():
             if near is not None and column is not None:
                 jacobian[:, k] = near.jacobian[:, column]
         return jacobian
@@ -323,7 +326,7 @@ class _Search:
 
         ``residuals`` are those at ``theta`` by simulations in the same steps as the derivatives.
         """
-        found = np.empty((residuals.size, len(places)), order="F")
+        derivatives = np.empty((residuals.size, len(places)), order="F")
         for column, k in enumerate(places):
             if self._cancelled():
                 raise CancelledError
@@ -331,8 +334,8 @@ class _Search:
             other = theta.copy()
             other[k] += step
             moved, _ = self.residuals(other, self._parameters.coordinates[k].test, residuals, self._slope_step_s)
-            found[:, column] = (moved - residuals) / step
-        return found
+            derivatives[:, column] = (moved - residuals) / step
+        return derivatives
 
     def residuals(
         self,

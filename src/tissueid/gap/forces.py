@@ -61,7 +61,7 @@ class ForceFamily:
     kind: str
     """The quantity that the force depends on."""
     gain: float
-    left: float
+    after: float
     """Root mean square of the remaining residual on held-out data, in noise deviations."""
     before: float
     """The same without the family, after a refit of the baseline's own parameters."""
@@ -227,110 +227,116 @@ def force_families(
         else simulated_trajectory(baseline, answer, test, recorded=recorded)
         for test in tests
     ]
-    nuisance = [_transported(one, _nuisance(one, on_tissue)) for one in courses]
+    nuisance = [_transported(course, _nuisance(course, on_tissue)) for course in courses]
     before = _left(courses, nuisance, noise)
-    found: dict[tuple[Stage, str], ForceFamily] = {}
+    families: dict[tuple[Stage, str], ForceFamily] = {}
     for stage, kind, shapes in _shapes(courses, on_tissue):
         if bare and stage not in ("mechanics", "tissue"):
             continue
         columns = [
-            np.concatenate([base, _transported(one, rows)])
-            for one, base, rows in zip(courses, nuisance, shapes, strict=True)
+            np.concatenate([base, _transported(course, rows)])
+            for course, base, rows in zip(courses, nuisance, shapes, strict=True)
         ]
         after = _left(courses, columns, noise)
         gain = before - after - _PER_COLUMN * shapes[0].shape[0]
         if not np.isfinite(gain):
             continue  # shapes that diverge, such as a resonance near the sample rate
-        if (stage, kind) not in found or gain > found[stage, kind].gain:
-            found[stage, kind] = ForceFamily(stage, kind, gain, float(np.exp(after)), float(np.exp(before)))
-    return sorted(found.values(), key=lambda item: -item.gain)
+        if (stage, kind) not in families or gain > families[stage, kind].gain:
+            families[stage, kind] = ForceFamily(stage, kind, gain, float(np.exp(after)), float(np.exp(before)))
+    return sorted(families.values(), key=lambda item: -item.gain)
 
 
 def _left(courses: Sequence[Trajectory], columns: Sequence[FloatArray], noise: float) -> float:
     # Half the logarithm of held-out error over noise variance, with one fit to all tests.
-    fitted = [one.test.serving(Purpose.FIT) & np.isfinite(one.residual) for one in courses]
+    fitted = [course.test.serving(Purpose.FIT) & np.isfinite(course.residual) for course in courses]
     if not any(mask.any() for mask in fitted):
-        fitted = [(one.test.purpose > 0) & np.isfinite(one.residual) for one in courses]
+        fitted = [(course.test.purpose > 0) & np.isfinite(course.residual) for course in courses]
     design = np.concatenate([rows[:, mask].T for rows, mask in zip(columns, fitted, strict=True)])
-    target = np.concatenate([one.residual[mask] for one, mask in zip(courses, fitted, strict=True)])
+    target = np.concatenate([course.residual[mask] for course, mask in zip(courses, fitted, strict=True)])
     scale = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-30)
     normal = (design / scale).T @ (design / scale)
     normal += _RIDGE * target.size * np.eye(scale.size)
     weights = np.linalg.solve(normal, (design / scale).T @ target) / scale
     squares, count = 0.0, 0
-    for one, rows in zip(courses, columns, strict=True):
-        held = (one.test.purpose > Purpose.FIT) & np.isfinite(one.residual)
+    for course, rows in zip(courses, columns, strict=True):
+        held = (course.test.purpose > Purpose.FIT) & np.isfinite(course.residual)
         if not held.any():
-            held = (one.test.purpose > 0) & np.isfinite(one.residual)
-        error = one.residual[held] - weights @ rows[:, held]
+            held = (course.test.purpose > 0) & np.isfinite(course.residual)
+        error = course.residual[held] - weights @ rows[:, held]
         squares += float(error @ error)
         count += int(held.sum())
     return 0.5 * float(np.log(max(squares / count / noise**2, 1.0)))
 
 
-def _transported(one: Trajectory, forces: FloatArray) -> FloatArray:
-    period = 1.0 / one.test.sample_rate_hz
-    if one.as_force:
+def _transported(course: Trajectory, forces: FloatArray) -> FloatArray:
+    period = 1.0 / course.test.sample_rate_hz
+    if course.as_force:
         return forces
-    return np.asarray(_displacements(np.ascontiguousarray(forces), one.stiffness, one.damping, one.mass, period))
+    return np.asarray(
+        _displacements(np.ascontiguousarray(forces), course.stiffness, course.damping, course.mass, period)
+    )
 
 
-def _nuisance(one: Trajectory, on_tissue: bool) -> FloatArray:
-    rows = [one.current, np.ones_like(one.depth), one.acceleration, one.velocity, one.depth]
-    if one.as_force:
+def _nuisance(course: Trajectory, on_tissue: bool) -> FloatArray:
+    rows = [course.current, np.ones_like(course.depth), course.acceleration, course.velocity, course.depth]
+    if course.as_force:
         # The force itself would explain the unmodelled force completely.
         return np.stack(rows[1:])
     if on_tissue:
         rows += [
-            one.depth * one.growth_stiffness,
-            one.depth**2 * one.growth_stiffness,
-            one.velocity * one.growth_damping,
-            one.velocity * one.depth * one.growth_damping,
+            course.depth * course.growth_stiffness,
+            course.depth**2 * course.growth_stiffness,
+            course.velocity * course.growth_damping,
+            course.velocity * course.depth * course.growth_damping,
         ]
     return np.stack(rows)
 
 
 def _shapes(courses: Sequence[Trajectory], on_tissue: bool) -> Iterator[tuple[Stage, str, list[FloatArray]]]:
     """Yield stage, kind and shapes in each test, shape (shapes, n)."""
-    yield "mechanics", marked("friction"), [_friction(one) for one in courses]
-    yield "mechanics", marked("direction-dependent friction"), [_directional_friction(one) for one in courses]
+    yield "mechanics", marked("friction"), [_friction(course) for course in courses]
+    yield "mechanics", marked("direction-dependent friction"), [_directional_friction(course) for course in courses]
     yield (
         "mechanics",
         marked("speed"),
-        [np.stack([one.velocity * np.abs(one.velocity), one.velocity**3]) for one in courses],
+        [np.stack([course.velocity * np.abs(course.velocity), course.velocity**3]) for course in courses],
     )
-    yield "drive", marked("delay"), [np.diff(one.current, prepend=one.current[0])[None, :] for one in courses]
-    squares = [np.stack([one.current * np.abs(one.current), one.current**2]) for one in courses]
+    yield "drive", marked("delay"), [np.diff(course.current, prepend=course.current[0])[None, :] for course in courses]
+    squares = [np.stack([course.current * np.abs(course.current), course.current**2]) for course in courses]
     yield "coil", marked("current squared"), squares
-    yield "coil", CURRENT_AND_TIME, [_by_time(one, one.current) for one in courses]
-    yield "mechanics", marked("speed and time"), [_by_time(one, one.velocity) for one in courses]
-    along_stroke = [one.current * _powers(one.position - 0.012, 3, 0.004) for one in courses]
+    yield "coil", CURRENT_AND_TIME, [_by_time(course, course.current) for course in courses]
+    yield "mechanics", marked("speed and time"), [_by_time(course, course.velocity) for course in courses]
+    along_stroke = [course.current * _powers(course.position - 0.012, 3, 0.004) for course in courses]
     yield "coil", marked("current and position"), along_stroke
-    positions = np.concatenate([one.position for one in courses])
-    beyond = [np.maximum(one.position - float(np.quantile(positions, 0.97)), 0.0) for one in courses]
-    stops = [np.stack([above, above * one.velocity]) for one, above in zip(courses, beyond, strict=True)]
+    positions = np.concatenate([course.position for course in courses])
+    beyond = [np.maximum(course.position - float(np.quantile(positions, 0.97)), 0.0) for course in courses]
+    stops = [np.stack([above, above * course.velocity]) for course, above in zip(courses, beyond, strict=True)]
     yield "mechanics", marked("the end of the stroke"), stops
     travelled = np.ptp(_reach(positions))
     for pitch in _PITCHES_M[_LONGEST_PITCH * travelled > _PITCHES_M]:
-        waves = [np.stack(_waves(2.0 * np.pi * one.position / pitch, 2)) for one in courses]
+        waves = [np.stack(_waves(2.0 * np.pi * course.position / pitch, 2)) for course in courses]
         yield "mechanics", PERIODIC, waves
     for hz in _FRAMES_HZ:
-        yield "mechanics", marked("a resonance"), [_frame(one, hz) for one in courses]
+        yield "mechanics", marked("a resonance"), [_frame(course, hz) for course in courses]
     if not on_tissue:
-        yield "mechanics", marked("position"), [_powers(one.depth, 5, 0.003) for one in courses]
+        yield "mechanics", marked("position"), [_powers(course.depth, 5, 0.003) for course in courses]
         return
-    low, high = _reach(np.concatenate([one.depth for one in courses]))
-    yield "tissue", DEPTH, [_splines(one.depth, low, high, 10) for one in courses]
-    yield "tissue", marked("direction"), [_by_direction(one) for one in courses]
-    yield "tissue", PAST, [_memory(one) for one in courses]
-    yield "tissue", HYSTERESIS, [np.stack([_play(one.depth, radius) for radius in _PLAYS_M]) for one in courses]
-    yield "tissue", WORK, [_work(one) for one in courses]
-    yield "tissue", marked("acceleration and depth"), [_mass(one) for one in courses]
-    yield "tissue", marked("lift-off"), [_lifted(one) for one in courses]
+    low, high = _reach(np.concatenate([course.depth for course in courses]))
+    yield "tissue", DEPTH, [_splines(course.depth, low, high, 10) for course in courses]
+    yield "tissue", marked("direction"), [_by_direction(course) for course in courses]
+    yield "tissue", PAST, [_memory(course) for course in courses]
+    yield "tissue", HYSTERESIS, [np.stack([_play(course.depth, radius) for radius in _PLAYS_M]) for course in courses]
+    yield "tissue", WORK, [_work(course) for course in courses]
+    yield "tissue", marked("acceleration and depth"), [_mass(course) for course in courses]
+    yield "tissue", marked("lift-off"), [_lifted(course) for course in courses]
     for delay in _DELAYS_S:
-        yield "tissue", marked("earlier stretch"), [_response(one, delay) for one in courses]
+        yield "tissue", marked("earlier stretch"), [_response(course, delay) for course in courses]
     for hz in _RHYTHMS_HZ:
-        yield "environment", marked("periodic motion of the surface"), [_periodic_motion(one, hz) for one in courses]
+        yield (
+            "environment",
+            marked("periodic motion of the surface"),
+            [_periodic_motion(course, hz) for course in courses],
+        )
 
 
 def _powers(values: FloatArray, count: int, scale: float) -> FloatArray:
@@ -341,71 +347,75 @@ def _waves(phase: FloatArray, harmonics: int) -> list[FloatArray]:
     return [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.sin, np.cos)]
 
 
-def _friction(one: Trajectory) -> FloatArray:
-    rows = [np.tanh(one.velocity / slip) for slip in _SLIPS_M_S]
-    return np.stack([*rows, *(one.position - _play(one.position, radius) for radius in (1e-5, 5e-5))])
+def _friction(course: Trajectory) -> FloatArray:
+    rows = [np.tanh(course.velocity / slip) for slip in _SLIPS_M_S]
+    return np.stack([*rows, *(course.position - _play(course.position, radius) for radius in (1e-5, 5e-5))])
 
 
-def _directional_friction(one: Trajectory) -> FloatArray:
-    rows = [np.tanh(np.maximum(one.velocity, 0.0) / slip) for slip in _SLIPS_M_S[1:]]
-    return np.concatenate([_friction(one), np.stack(rows)])
+def _directional_friction(course: Trajectory) -> FloatArray:
+    rows = [np.tanh(np.maximum(course.velocity, 0.0) / slip) for slip in _SLIPS_M_S[1:]]
+    return np.concatenate([_friction(course), np.stack(rows)])
 
 
-def _by_direction(one: Trajectory) -> FloatArray:
-    into = np.maximum(one.velocity, 0.0)
-    return np.stack([into, into * one.depth, into * one.growth_damping])
+def _by_direction(course: Trajectory) -> FloatArray:
+    into = np.maximum(course.velocity, 0.0)
+    return np.stack([into, into * course.depth, into * course.growth_damping])
 
 
-def _memory(one: Trajectory) -> FloatArray:
-    pressed = one.depth * one.growth_stiffness
-    kept = [np.exp(-1.0 / (one.test.sample_rate_hz * memory)) for memory in _MEMORIES_S]
+def _memory(course: Trajectory) -> FloatArray:
+    pressed = course.depth * course.growth_stiffness
+    kept = [np.exp(-1.0 / (course.test.sample_rate_hz * memory)) for memory in _MEMORIES_S]
     return np.stack([_smoothed(pressed, k) for k in kept])
 
 
-def _work(one: Trajectory) -> FloatArray:
-    worked = np.cumsum(np.abs(one.depth * one.velocity))
+def _work(course: Trajectory) -> FloatArray:
+    worked = np.cumsum(np.abs(course.depth * course.velocity))
     worked = worked / max(worked[-1], 1e-30)
-    pressed = one.depth * one.growth_stiffness
-    return np.stack([pressed * worked, pressed * one.time, pressed * np.exp(-one.time), pressed * np.sqrt(one.time)])
+    pressed = course.depth * course.growth_stiffness
+    return np.stack(
+        [pressed * worked, pressed * course.time, pressed * np.exp(-course.time), pressed * np.sqrt(course.time)]
+    )
 
 
-def _by_time(one: Trajectory, values: FloatArray) -> FloatArray:
-    return np.stack([values * one.time, values * np.exp(-one.time), values * one.time**2])
+def _by_time(course: Trajectory, values: FloatArray) -> FloatArray:
+    return np.stack([values * course.time, values * np.exp(-course.time), values * course.time**2])
 
 
-def _mass(one: Trajectory) -> FloatArray:
-    return np.stack([one.acceleration * one.depth, one.velocity**2, np.maximum(one.depth, 0.0) * one.velocity**2])
+def _mass(course: Trajectory) -> FloatArray:
+    return np.stack(
+        [course.acceleration * course.depth, course.velocity**2, np.maximum(course.depth, 0.0) * course.velocity**2]
+    )
 
 
-def _lifted(one: Trajectory) -> FloatArray:
-    off = one.depth < 0.0
-    return np.stack([off * one.depth, off * one.velocity, off * 1.0])
+def _lifted(course: Trajectory) -> FloatArray:
+    off = course.depth < 0.0
+    return np.stack([off * course.depth, off * course.velocity, off * 1.0])
 
 
-def _response(one: Trajectory, delay_s: float) -> FloatArray:
-    lag = max(1, round(delay_s * one.test.sample_rate_hz))
+def _response(course: Trajectory, delay_s: float) -> FloatArray:
+    lag = max(1, round(delay_s * course.test.sample_rate_hz))
 
     def late(values: FloatArray, memory_s: float) -> FloatArray:
-        kept = np.exp(-1.0 / (one.test.sample_rate_hz * memory_s))
+        kept = np.exp(-1.0 / (course.test.sample_rate_hz * memory_s))
         return np.asarray(_smoothed(np.concatenate([np.full(lag, values[0]), values[:-lag]]), kept))
 
-    fast = np.maximum(one.velocity - float(np.std(one.velocity)), 0.0)
-    driven = (np.maximum(one.velocity, 0.0), fast, np.maximum(one.depth, 0.0))
+    fast = np.maximum(course.velocity - float(np.std(course.velocity)), 0.0)
+    driven = (np.maximum(course.velocity, 0.0), fast, np.maximum(course.depth, 0.0))
     return np.stack([late(values, memory) for values in driven for memory in (0.005, 0.03)])
 
 
-def _frame(one: Trajectory, hz: float) -> FloatArray:
-    pushed = one.current - one.current.mean()
-    period = 1.0 / one.test.sample_rate_hz
+def _frame(course: Trajectory, hz: float) -> FloatArray:
+    pushed = course.current - course.current.mean()
+    period = 1.0 / course.test.sample_rate_hz
     moved = _resonating(pushed, 2.0 * np.pi * hz, _FRAME_DAMPING, period)
     return np.stack([moved, np.gradient(moved)])
 
 
-def _periodic_motion(one: Trajectory, hz: float) -> FloatArray:
-    slow = one.time / max(one.time[-1], 1e-9)
+def _periodic_motion(course: Trajectory, hz: float) -> FloatArray:
+    slow = course.time / max(course.time[-1], 1e-9)
     rows = [wave for k in (0.5, 1.0, 1.5, 2.0) for wave in _waves(2.0 * np.pi * k * slow, 1)]
-    rows += _waves(2.0 * np.pi * hz * one.time, 4 if hz < 3.0 else 1)
-    return np.stack(rows) * one.stiffness
+    rows += _waves(2.0 * np.pi * hz * course.time, 4 if hz < 3.0 else 1)
+    return np.stack(rows) * course.stiffness
 
 
 def _reach(values: FloatArray) -> tuple[float, float]:

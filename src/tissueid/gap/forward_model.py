@@ -102,11 +102,11 @@ def restarts(test: DatasetTest, about: Equivalent) -> tuple[int, ...]:
         return (0,)
     length = max(round(about.restart_s * test.sample_rate_hz), 8)
     doubt = _velocity_doubt(_Identity(test.signals["position"]), 4, 12)
-    found = [0]
+    first_samples = [0]
     for middle in range(length, test.command.size - length // 2, length):
         first, end = middle - length // 4, min(middle + length // 4, test.command.size - 1)
-        found.append(first + 1 + int(np.argmin(doubt[first:end])))
-    return tuple(found)
+        first_samples.append(first + 1 + int(np.argmin(doubt[first:end])))
+    return tuple(first_samples)
 
 
 def velocity_error(test: DatasetTest, about: Equivalent) -> float:
@@ -127,8 +127,8 @@ def _velocity_doubt(key: _Identity, narrow_half: int, wide_half: int) -> FloatAr
 def _begin(test: DatasetTest, about: Equivalent, sample: int) -> tuple[float, float]:
     # Position and velocity of the mass at a sample.
     if about.restart_s is None:
-        known = test.signals["position"]
-        first = known[np.isfinite(known)][:3]
+        recorded = test.signals["position"]
+        first = recorded[np.isfinite(recorded)][:3]
         at = float(np.median(first)) if first.size else test.surface_m
         speed = 0.5 * float(first[2] - first[0]) * test.sample_rate_hz if first.size == 3 else 0.0
     else:
@@ -142,8 +142,10 @@ def _driven(force: FloatArray, rate_hz: float, acting: list[ActiveEffect], about
     middle = about.input_middle_n
     volts = about.volts_per_newton * (force + middle)
     amplifier = InstrumentParameters(amplifier_gain=1.0, amplifier_limit_v=1e9)
-    found = simulated_motion(volts, rate_hz, amplifier, nothing(), Start(0.0, 0.0), acting, on_tissue=False, substeps=1)
-    return found.readings.voltage / about.volts_per_newton - middle
+    simulated = simulated_motion(
+        volts, rate_hz, amplifier, nothing(), Start(0.0, 0.0), acting, on_tissue=False, substeps=1
+    )
+    return simulated.readings.voltage / about.volts_per_newton - middle
 
 
 def recorded_state(test: DatasetTest) -> tuple[FloatArray, FloatArray]:
@@ -161,10 +163,10 @@ def _state(key: _Identity, rate_hz: float) -> tuple[FloatArray, FloatArray]:
     for half in _HALF_WIDTHS:
         if 2 * half + 1 > values.size:
             break
-        left = float(np.std(values - savgol_filter(values, 2 * half + 1, 3)))
-        left /= np.sqrt(1.0 - savgol_coeffs(2 * half + 1, 3)[half])
-        noise = noise or left
-        if left > _ONLY_NOISE * noise:
+        residual_std = float(np.std(values - savgol_filter(values, 2 * half + 1, 3)))
+        residual_std /= np.sqrt(1.0 - savgol_coeffs(2 * half + 1, 3)[half])
+        noise = noise or residual_std
+        if residual_std > _ONLY_NOISE * noise:
             break
         chosen = half
     width = 2 * chosen + 1
@@ -286,7 +288,7 @@ class _MotionCache:
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key][1]
-        found = simulated_motion(
+        readings = simulated_motion(
             test.command,
             test.sample_rate_hz,
             instrument,
@@ -298,10 +300,10 @@ class _MotionCache:
             substeps=substeps,
         ).readings
         # Keep the given signals as well, so that their identities are not reused.
-        self._kept[key] = (given, found)
+        self._kept[key] = (given, readings)
         if len(self._kept) > self._most:
             self._kept.popitem(last=False)
-        return found
+        return readings
 
 
 _MOTIONS = _MotionCache(96)

@@ -342,10 +342,10 @@ class _StageAnalysis:
             answer = again if _worst(again) < _worst(answer) else answer
         self._without_lines(answer, floor, _FROM_CURRENT)
         found = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
-        if found and found[0].left > _UNCHANGED_ERROR_SHARE * found[0].before > _UNCHANGED_ERROR_SHARE * MARGIN:
+        if found and found[0].after > _UNCHANGED_ERROR_SHARE * found[0].before > _UNCHANGED_ERROR_SHARE * MARGIN:
             # If recorded and simulated motion differ much, as at an end stop, the force depends on the recorded one.
             along = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue, recorded=True)
-            found = along if along[0].left < found[0].left else found
+            found = along if along[0].after < found[0].after else found
         self.errors[name] = found[0].before if found else 1.0
         return _without_periodic_motion(found)
 
@@ -430,7 +430,7 @@ def _without_periodic_motion(found: Sequence[ForceFamily]) -> list[ForceFamily]:
 def _late(found: Sequence[ForceFamily]) -> bool:
     if not found or found[0].stage != "drive" or found[0].gain < 5.0 * _LEAST_GAIN:
         return False
-    return found[0].left < max(1.1, 0.6 * found[0].before)
+    return found[0].after < max(1.1, 0.6 * found[0].before)
 
 
 def _worst(answer: StageSimulation) -> float:

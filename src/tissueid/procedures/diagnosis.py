@@ -110,7 +110,7 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
         found = diagnose(
             dataset,
             pool,
-            known=known,
+            accepted=known,
             without=plan.without,
             seconds=plan.seconds,
             progress=SearchDisplay(control),
@@ -263,7 +263,7 @@ def _of_file(
         session = read_session(path)
         created = session.created
         dataset, known = against_twin(prepare(session), twin)
-        answer = of(diagnose(dataset, SerialExecutor(), known=known)) | {_CREATED: created}
+        answer = of(diagnose(dataset, SerialExecutor(), accepted=known)) | {_CREATED: created}
     except UnusableInputError as error:
         return {_CREATED: created, _REASON: error.message}
     with contextlib.suppress(UnusableInputError):  # without a cache, the procedure begins again after a kill

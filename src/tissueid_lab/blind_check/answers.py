@@ -130,8 +130,8 @@ class BlindScenario:
         dataset = prepare(read_scenario(self.folder, self.name))
         earlier = earlier_session(self.folder, self.name)
         dataset, known = against_twin(dataset, None if earlier is None else accepted_twin(self.folder, earlier))
-        found = diagnose(dataset, SerialExecutor(), known=known, without=self.without)
-        singles = found.found.singles
+        found = diagnose(dataset, SerialExecutor(), accepted=known, without=self.without)
+        singles = found.search_result.singles
         greedy = min(singles, key=lambda item: item.fit.cost, default=None)
         return as_answer(found) | {
             "accepted": list(known),
@@ -153,7 +153,9 @@ def accepted_twin(folder: Path, earlier: str) -> TwinFile:
     if path.exists():
         return read_twin(path)
     found = diagnose(prepare(read_scenario(folder, earlier)), SerialExecutor())
-    twin = named_effects(found, earlier, None).twin or twin_file_of(found.found.baseline, earlier, session_id=earlier)
+    twin = named_effects(found, earlier, None).twin or twin_file_of(
+        found.search_result.baseline, earlier, session_id=earlier
+    )
     write_twin(path, twin)
     return twin
 

@@ -35,7 +35,7 @@ def with_twin() -> Diagnosis:
     best = friction_diagnosis().best
     assert best is not None
     tests = with_prior_twin(observed(EFFECT, SEED, SAMPLES), twin_of(best, "accepted"))
-    return diagnose(tests, SerialExecutor(), known=[EFFECT], candidates=[RIVAL])
+    return diagnose(tests, SerialExecutor(), accepted=[EFFECT], candidates=[RIVAL])
 
 
 def synthetic(case: str) -> Diagnosis:
