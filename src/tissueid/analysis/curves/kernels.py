@@ -205,13 +205,13 @@ def contribution_plots(model: VolterraModel, record: Record, part: slice) -> lis
     if model.kernel1 is None:
         raise UnusableInputError(NO_KERNELS)
     measured = record.output[part]
-    known = measured[np.isfinite(measured)]
-    if not known.size:
+    received = measured[np.isfinite(measured)]
+    if not received.size:
         raise UnusableInputError("report.no_output", "no output was received in the fitted part")
-    ends = float(known.min()), float(known.max())
+    ends = float(received.min()), float(received.max())
     return [
-        cloud_plot(modelled[part], measured, record.output_unit, label, ROLES[place % len(ROLES)], ends=ends)
-        for place, (label, modelled) in enumerate(_cumulated(model, record.input))
+        cloud_plot(modelled[part], measured, record.output_unit, label, ROLES[index % len(ROLES)], ends=ends)
+        for index, (label, modelled) in enumerate(_cumulated(model, record.input))
     ]
 
 
@@ -305,20 +305,20 @@ def kernel_curves(model: PartitionedModel, record: Record) -> tuple[Plot, Plot]:
     lag = replace(LAG, limits=(0.0, float(lag_ms[-1]) or 1.0))
     limits = display_unit(record.output_unit)[1] * model.breakpoints_m[[0, -1]]
     depth = replace(signal_axis(record.output_name, record.output_unit), limits=(float(limits[0]), float(limits[1])))
-    left, right = (
+    first, second = (
         Plot(title, lag, Axis(marked("Kernel"), unit, zero=True), tuple(_coloured(lag_ms, rows, std)))
         for title, rows, std in shown[:2]
     )
-    return left, replace(right, depths=depth)
+    return first, replace(second, depths=depth)
 
 
 def _coloured(lag_ms: Array, rows: Array, std: Array) -> list[Curve]:
     """Return kernels (K, lags) as curves from shallow to deep; the first and the last have bands where known."""
     curves = [Curve(lag_ms, kernel, "", role) for kernel, role in zip(rows, depth_roles(len(rows)), strict=True)]
-    for place in {0, len(curves) - 1}:
-        half = CONFIDENCE * np.where(np.isfinite(std[place]), std[place], 0.0)
+    for index in {0, len(curves) - 1}:
+        half = CONFIDENCE * np.where(np.isfinite(std[index]), std[index], 0.0)
         if half.any():
-            curves[place] = replace(curves[place], low=rows[place] - half, high=rows[place] + half)
+            curves[index] = replace(curves[index], low=rows[index] - half, high=rows[index] + half)
     return curves
 
 
@@ -329,7 +329,7 @@ _NOISE = 5.0
 _DIAGONAL = marked("along the diagonal")
 
 
-def first_kernels(found: Overlay) -> tuple[Plot, Plot]:
+def first_kernels(overlay: Overlay) -> tuple[Plot, Plot]:
     """Return the first-order kernels and the diagonals of the second-order kernels, laid over each other.
 
     Chen 2010, Figs. 4.12 and 4.14.
@@ -338,11 +338,11 @@ def first_kernels(found: Overlay) -> tuple[Plot, Plot]:
         UnusableInputError: no fit has kernels.
     """
     first, diagonal = [], []
-    entries = _volterra(found)
+    entries = _volterra(overlay)
     record = entries[0][0].analysis.record
     (unit, scale), (unit2, scale2) = kernel_unit(record), kernel_unit(record, 2)
     for entry, model in entries:
-        style = named(found.label(entry)), *style_of(found, entry)
+        style = named(overlay.label(entry)), *style_of(overlay, entry)
         if model.kernel1 is not None:
             first.append(Curve(1e3 * model.lag_s, scale * model.kernel1, *style))
         if model.kernel2 is not None:
@@ -368,7 +368,7 @@ def _without_noise(curves: list[Curve]) -> tuple[float, float] | None:
     return float(shown.min()) - margin, float(shown.max()) + margin
 
 
-def second_kernels(found: Overlay) -> list[Plot]:
+def second_kernels(overlay: Overlay) -> list[Plot]:
     """Return the second-order kernel of every fit with its VAF (Chen 2010, Figs. 4.5, 4.8, 4.12 to 4.15).
 
     Kernels of the same fit share the scale of their colours, so that tests can be compared.
@@ -378,7 +378,7 @@ def second_kernels(found: Overlay) -> list[Plot]:
     """
     surfaces = [
         (entry, replace(cast(Surface, second_order_kernel(model, entry.analysis.record).surface), name=""))
-        for entry, model in _volterra(found)
+        for entry, model in _volterra(overlay)
         if model.kernel2 is not None
     ]
     if not surfaces:
@@ -388,7 +388,7 @@ def second_kernels(found: Overlay) -> list[Plot]:
         tops[entry.fit.label] = max(tops.get(entry.fit.label, 0.0), float(np.abs(surface.values).max()))
     return [
         Plot(
-            _with_vaf(found.label(entry), entry.analysis.model.report.vaf_percent),
+            _with_vaf(overlay.label(entry), entry.analysis.model.report.vaf_percent),
             _FIRST_LAG,
             _SECOND_LAG,
             (replace(surface, limit=tops[entry.fit.label]),),
@@ -398,7 +398,7 @@ def second_kernels(found: Overlay) -> list[Plot]:
     ]
 
 
-def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
+def partition_columns(overlay: Overlay) -> list[tuple[Plot, Plot, Plot]]:
     """Return output, measured against modelled output, and kernels by depth of every fit (Chen 2010, Figs. 5.6 to 5.8).
 
     The run is scheduled by the measured output, as in the thesis, over the fitted samples.
@@ -407,7 +407,7 @@ def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
         UnusableInputError: no fit has kernels by depth.
     """
     made = []
-    for entry in found.entries:
+    for entry in overlay.entries:
         analysis, model = entry.analysis, entry.analysis.model
         if not isinstance(model, PartitionedModel) or model.partitions.depths < 2:
             continue
@@ -424,8 +424,8 @@ def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
             memory_samples=model.memory_samples,
         )
         output = prediction_plots([run], _STRETCH_S)[0]
-        title = _with_vaf(found.label(entry), entry.shown_percent)
-        cloud = cloud_plot(run.predicted, run.measured, run.output_unit, colour=style_of(found, entry)[0])
+        title = _with_vaf(overlay.label(entry), entry.shown_percent)
+        cloud = cloud_plot(run.predicted, run.measured, run.output_unit, colour=style_of(overlay, entry)[0])
         image = kernels_by_depth(model, analysis.record)
         low, high = display_unit(run.output_unit)[1] * model.breakpoints_m[[0, -1]]
         depth = replace(image.y, limits=(float(low), float(high)))  # of its own, so that no other plot shares it
@@ -440,13 +440,15 @@ def _with_vaf(label: str, percent: float) -> str:
     return Message("overlay.with_vaf", "{name}, VAF {percent:.1f} %", name=named(label), percent=percent)
 
 
-def _volterra(found: Overlay) -> list[tuple[OverlayEntry, VolterraModel]]:
+def _volterra(overlay: Overlay) -> list[tuple[OverlayEntry, VolterraModel]]:
     """Return the entries with Volterra kernels, and their models.
 
     Raises:
         UnusableInputError: there is none.
     """
-    entries = [(one, one.analysis.model) for one in found.entries if isinstance(one.analysis.model, VolterraModel)]
+    entries = [
+        (entry, entry.analysis.model) for entry in overlay.entries if isinstance(entry.analysis.model, VolterraModel)
+    ]
     if not entries:
         raise UnusableInputError("overlay.no_volterra", "no fit has Volterra kernels")
     return entries
@@ -475,10 +477,10 @@ def kernel_lobes(kernel: Array, spacing_s: float) -> Lobes:
     across = np.linspace(-peak, peak, 2001)
     line = map_coordinates(kernel / diagonal[peak], [peak + across, peak - across], order=3)
     low = across[line < 0.5]
-    right, left = low[low > 0.0].min(initial=peak), low[low < 0.0].max(initial=-peak)
+    upper, lower = low[low > 0.0].min(initial=peak), low[low < 0.0].max(initial=-peak)
     return Lobes(
         lag_s=peak * spacing_s,
         negative=bool(diagonal[peak] < 0.0),
-        width_s=float(right - left) * spacing_s,
+        width_s=float(upper - lower) * spacing_s,
         side_lobe=float((-kernel / diagonal[peak]).max(initial=0.0)),
     )

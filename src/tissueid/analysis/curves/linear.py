@@ -142,12 +142,12 @@ def _probed(model: Model, record: Record) -> tuple[Array, Array]:
     Raises:
         UnusableInputError: the model does not answer the pulse.
     """
-    known = record.input[np.isfinite(record.input)]
-    if known.size < 2:
+    received = record.input[np.isfinite(record.input)]
+    if received.size < 2:
         raise UnusableInputError("research.no_input", "no input was received")
-    lags = min(model.memory_samples, known.size)
-    rest = np.full(3 * lags, float(np.mean(known)))
-    pulse, height = rest.copy(), _PULSE * float(np.std(known))
+    lags = min(model.memory_samples, received.size)
+    rest = np.full(3 * lags, float(np.mean(received)))
+    pulse, height = rest.copy(), _PULSE * float(np.std(received))
     pulse[lags] += height
     answer = (model.simulate(pulse) - model.simulate(rest))[lags - 1 : 2 * lags]
     if not np.isfinite(answer).all() or height == 0.0 or not np.any(answer):
@@ -292,12 +292,12 @@ _ABOVE = 6.0
 
 def by_depth(model: LocalizedModel) -> list[LevelFit]:
     """Return the levels from the lowest position to the highest."""
-    return sorted(model.levels, key=lambda one: one.position)
+    return sorted(model.levels, key=lambda level: level.position)
 
 
 def level_plots(model: LocalizedModel, record: Record) -> tuple[Plot, Plot]:
     """Return input and output against time, with the mean of each level coloured by depth (Chen 2010, Fig. 3.12)."""
-    found = by_depth(model)
+    levels = by_depth(model)
     time = replace(TIME, limits=(float(record.time[0]), float(record.time[-1])))
     made = []
     for name, si_unit, values, colour, of in (
@@ -306,9 +306,9 @@ def level_plots(model: LocalizedModel, record: Record) -> tuple[Plot, Plot]:
     ):
         scale = display_unit(si_unit)[1]
         parts = [Curve(record.time, scale * values, "", colour, width=0.4, opacity=0.5)]
-        for one, role in zip(found, depth_roles(len(found)), strict=True):
-            span = record.time[[one.level.first, one.level.end - 1]]
-            parts.append(Curve(span, np.full(2, scale * float(getattr(one, of))), "", role, width=2.3))
+        for fitted, role in zip(levels, depth_roles(len(levels)), strict=True):
+            span = record.time[[fitted.level.first, fitted.level.end - 1]]
+            parts.append(Curve(span, np.full(2, scale * float(getattr(fitted, of))), "", role, width=2.3))
         made.append(Plot("", time, signal_axis(name, si_unit), tuple(parts)))
     return made[0], made[1]
 
@@ -318,47 +318,51 @@ def level_impulse_plots(model: LocalizedModel, record: Record) -> tuple[Plot, Pl
 
     Curves are coloured by depth; those of levels reached by moving out of the tissue are dashed.
     """
-    found = by_depth(model)
+    levels = by_depth(model)
     unit, scale = kernel_unit(record)
-    slowest = min(one.fit.system.natural_frequency_rad_per_s for one in found)
+    slowest = min(level.fit.system.natural_frequency_rad_per_s for level in levels)
     time_s = np.linspace(0.0, 4.0 * np.pi / slowest, 400)
-    left, right = [], []
-    for one, role in zip(found, depth_roles(len(found)), strict=True):
-        response = one.fit.system.impulse_response(time_s)
-        left.append(Curve(1e3 * time_s, scale * one.fit.sign * response, "", role, _kind(one)))
-        right.append(Curve(1e3 * time_s, response * one.fit.system.stiffness, "", role, _kind(one)))
+    impulses, normalised = [], []
+    for level, role in zip(levels, depth_roles(len(levels)), strict=True):
+        response = level.fit.system.impulse_response(time_s)
+        impulses.append(Curve(1e3 * time_s, scale * level.fit.sign * response, "", role, _kind(level)))
+        normalised.append(Curve(1e3 * time_s, response * level.fit.system.stiffness, "", role, _kind(level)))
     lag = replace(LAG, limits=(0.0, 1e3 * float(time_s[-1])))
     return (
-        Plot("", lag, Axis(marked("Impulse response"), unit, zero=True), tuple(left)),
+        Plot("", lag, Axis(marked("Impulse response"), unit, zero=True), tuple(impulses)),
         Plot(
-            "", lag, Axis(marked("Divided by its area"), "1/s", zero=True), tuple(right), depths=_depths(model, record)
+            "",
+            lag,
+            Axis(marked("Divided by its area"), "1/s", zero=True),
+            tuple(normalised),
+            depths=_depths(model, record),
         ),
     )
 
 
 def level_response_plots(model: LocalizedModel, record: Record) -> tuple[Plot, Plot]:
     """Return magnitude and phase of the compliance; a curve for each level, as above (Chen 2010, Fig. 3.13)."""
-    found = by_depth(model)
-    natural = np.array([one.fit.system.natural_frequency_rad_per_s for one in found]) / (2.0 * np.pi)
+    levels = by_depth(model)
+    natural = np.array([level.fit.system.natural_frequency_rad_per_s for level in levels]) / (2.0 * np.pi)
     highest = min(_ABOVE * float(natural.max()), 0.5 * record.sample_rate_hz)
     frequency_hz = np.geomspace(_BELOW * float(natural.min()), highest, 300)
     scale = ratio_unit(record)[1]
-    left, right = [], []
-    for one, role in zip(found, depth_roles(len(found)), strict=True):
-        response = scale * one.fit.sign * one.fit.system.frequency_response(frequency_hz)
-        left.append(Curve(frequency_hz, np.abs(response), "", role, _kind(one)))
-        right.append(Curve(frequency_hz, np.degrees(np.unwrap(np.angle(response))), "", role, _kind(one)))
+    magnitudes, phases = [], []
+    for level, role in zip(levels, depth_roles(len(levels)), strict=True):
+        response = scale * level.fit.sign * level.fit.system.frequency_response(frequency_hz)
+        magnitudes.append(Curve(frequency_hz, np.abs(response), "", role, _kind(level)))
+        phases.append(Curve(frequency_hz, np.degrees(np.unwrap(np.angle(response))), "", role, _kind(level)))
     frequency = replace(FREQUENCY, limits=(float(frequency_hz[0]), float(frequency_hz[-1])))
     magnitude, phase = response_axes(record)
     return (
-        Plot("", frequency, magnitude, tuple(left)),
-        Plot("", frequency, phase, tuple(right), depths=_depths(model, record)),
+        Plot("", frequency, magnitude, tuple(magnitudes)),
+        Plot("", frequency, phase, tuple(phases), depths=_depths(model, record)),
     )
 
 
 def _depths(model: LocalizedModel, record: Record) -> Axis:
     """Return the axis of the colours: the output, from the lowest level to the highest."""
-    places = display_unit(record.output_unit)[1] * np.array([one.position for one in model.levels])
+    places = display_unit(record.output_unit)[1] * np.array([level.position for level in model.levels])
     axis = signal_axis(record.output_name, record.output_unit)
     return replace(axis, limits=(float(places.min()), float(places.max())))
 

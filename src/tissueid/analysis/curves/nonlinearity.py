@@ -96,16 +96,16 @@ def stiffness_plot(model: WienerModel, record: Record, part: slice | None, surfa
     z = np.linspace(max(low, float(ends[0])), min(high, float(ends[1])), _FINE)
     slope = np.abs(model.nonlinearity.slope(z))
     clear = slope > _LEAST_SLOPE * slope.max()
-    known = np.isfinite(surface_position_m) and record.output_name == "position"
+    is_depth = np.isfinite(surface_position_m) and record.output_name == "position"
     out_scale = display_unit(record.output_unit)[1]
-    depth = out_scale * (model.nonlinearity(z[clear]) - (surface_position_m if known else 0.0))
+    depth = out_scale * (model.nonlinearity(z[clear]) - (surface_position_m if is_depth else 0.0))
     inverse = display_unit(record.input_unit)[1] / slope[clear]
     y = Axis(marked("Inverse slope"), f"{record.input_unit}/{record.output_unit}")
     if is_mechanical(record):
         y = Axis(marked("Stiffness"), "N/m")
     return Plot(
         "",
-        signal_axis("depth_below_the_surface" if known else record.output_name, record.output_unit),
+        signal_axis("depth_below_the_surface" if is_depth else record.output_name, record.output_unit),
         replace(y, limits=(0.0, 1.05 * float(inverse.max(initial=0.0)) or 1.0)),
         (Curve(depth, inverse, colour="good", width=1.4),),
     )
@@ -118,13 +118,13 @@ def linear_output(model: WienerModel, record: Record, part: slice | None = None)
         UnusableInputError: they are known at fewer than two samples.
     """
     z, measured = model.linear_output(record.input)[part or slice(None)], record.output[part or slice(None)]
-    known = np.isfinite(z) & np.isfinite(measured)
-    if known.sum() < 2:
+    finite = np.isfinite(z) & np.isfinite(measured)
+    if finite.sum() < 2:
         raise UnusableInputError(
             "report.wiener_not_run",
             "the Wiener model cannot be simulated: no sample has an uninterrupted input over the memory",
         )
-    return z[known], measured[known]
+    return z[finite], measured[finite]
 
 
 def nonlinearity_plot(analysis: Analysis) -> Plot:
@@ -177,23 +177,23 @@ def central_span(values: Array) -> Array:
     Raises:
         UnusableInputError: fewer than two values were received.
     """
-    known = values[np.isfinite(values)]
-    if known.size < 2:
+    received = values[np.isfinite(values)]
+    if received.size < 2:
         raise UnusableInputError("research.no_cascade_sample", "no sample lies in the range of the cascade")
-    low, high = np.quantile(known, (0.005, 0.995))
+    low, high = np.quantile(received, (0.005, 0.995))
     return np.linspace(float(low), float(high), _FINE)
 
 
 def _scatter(x: Array, z: Array, error: Array) -> Array:
     """Return the standard deviation of the error near each of x (k,), from samples z (n,)."""
-    known = np.isfinite(z) & np.isfinite(error)
+    finite = np.isfinite(z) & np.isfinite(error)
     edges = np.linspace(x[0], x[-1], _STRETCHES + 1)
-    place = np.clip(np.digitize(z[known], edges) - 1, 0, _STRETCHES - 1)
-    count = np.bincount(place, minlength=_STRETCHES)
-    squares = np.bincount(place, error[known] ** 2, _STRETCHES)
+    bin_index = np.clip(np.digitize(z[finite], edges) - 1, 0, _STRETCHES - 1)
+    count = np.bincount(bin_index, minlength=_STRETCHES)
+    squares = np.bincount(bin_index, error[finite] ** 2, _STRETCHES)
     held = count >= _FEWEST
     if not held.any():
-        return np.full(x.size, float(np.std(error[known])))
+        return np.full(x.size, float(np.std(error[finite])))
     middle = 0.5 * (edges[1:] + edges[:-1])
     return np.interp(x, middle[held], np.sqrt(squares[held] / count[held]))
 
@@ -264,34 +264,34 @@ def iteration_plots(model: WienerModel | HammersteinModel) -> tuple[Plot, Plot]:
     history = model.history
     if len(history) < 2:
         raise UnusableInputError(SINGLE_PASS)
-    passes = np.array([float(one.iteration) for one in history])
-    scores = [_passes(passes, [one.nonlinear_vaf_percent for one in history], 0, "")]
+    passes = np.array([float(state.iteration) for state in history])
+    scores = [_passes(passes, [state.nonlinear_vaf_percent for state in history], 0, "")]
     if isinstance(model, WienerModel):
-        linear = [one.linear_vaf_percent for one in model.history]
+        linear = [state.linear_vaf_percent for state in model.history]
         scores = [
             _passes(passes, scores[0].y, 1, marked("cascade, against the output"), kind="line"),
             _passes(passes, linear, 0, marked("linear stage, against its own target"), kind="dashed"),
         ]
     parameters: list[Curve] = []
     for name, last in history[-1].parameters.items():
-        values = np.array([one.parameters.get(name, np.nan) for one in history])
+        values = np.array([state.parameters.get(name, np.nan) for state in history])
         if last != 0.0 and np.all(np.isfinite(values)) and np.ptp(values) > 0.0:
             parameters.append(_passes(passes, values / last, len(parameters), label_and_unit(name)[0]))
     kept = Curve(np.array([float(model.chosen)]), np.zeros(1), "", "muted", "position", width=0.8)
-    one = Curve(np.zeros(1), np.ones(1), "", "muted", "level", width=0.8)
+    unity = Curve(np.zeros(1), np.ones(1), "", "muted", "level", width=0.8)
     x = Axis(marked("Pass"), ticks=whole_ticks(int(passes[0]), int(passes[-1])))
     return (
         Plot("", x, Axis(marked("VAF"), "%"), (*scores, kept)),
-        Plot("", x, Axis(marked("Parameter over its last value")), (*parameters, one, kept)),
+        Plot("", x, Axis(marked("Parameter over its last value")), (*parameters, unity, kept)),
     )
 
 
 def _passes(
-    passes: Array, values: Array | list[float], place: int, name: str, *, kind: Literal["line", "dashed", ""] = ""
+    passes: Array, values: Array | list[float], index: int, name: str, *, kind: Literal["line", "dashed", ""] = ""
 ) -> Curve:
-    """Return values by pass as a line with points, in the look of a place in the key."""
-    colour, marker = _COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)]
-    return Curve(passes, np.asarray(values), name, colour, kind or KINDS[place % len(KINDS)], marker=marker)
+    """Return values by pass as a line with points, in the look of entry ``index`` of the key."""
+    colour, marker = _COLOURS[index % len(_COLOURS)], _MARKERS[index % len(_MARKERS)]
+    return Curve(passes, np.asarray(values), name, colour, kind or KINDS[index % len(KINDS)], marker=marker)
 
 
 def _static(x: Axis, y: Axis, across: Array, values: Array, std: Array | None = None) -> Plot:

@@ -247,13 +247,13 @@ def depth_roles(count: int) -> list[str]:
 def whole_ticks(first: int, last: int) -> tuple[tuple[float, str], ...]:
     """Return ticks at whole numbers from ``first`` to ``last``, evenly spaced and not too many."""
     step = max(1, -(-(last - first + 1) // _MOST_TICKS))
-    return tuple((float(place), str(place)) for place in range(first, last + 1, step))
+    return tuple((float(number), str(number)) for number in range(first, last + 1, step))
 
 
 def cloud(x: Array, y: Array, colour: str = "measured") -> Curve:
     """Return points (n,) as a pale cloud: those that are known, evenly chosen where they are very many."""
-    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-    some = known[:: max(1, -(-known.size // _MOST_POINTS))]
+    indices = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    some = indices[:: max(1, -(-indices.size // _MOST_POINTS))]
     return Curve(x[some], y[some], "", colour, "points", opacity=0.5)
 
 

@@ -145,9 +145,9 @@ def _localized_plots(model: LocalizedModel, analysis: Analysis, analyses: Analys
     stiffness = marked("Stiffness at each level")
 
     def profile() -> Plot:
-        found = analysis.depth_profile(model)
-        assert found is not None
-        return profile_plots({"": found})[2]
+        depth_profile = analysis.depth_profile(model)
+        assert depth_profile is not None
+        return profile_plots({"": depth_profile})[2]
 
     name = next(name for name, other in analyses.items() if other is analysis)
     return ResultPlots(
@@ -303,9 +303,9 @@ def _correlations(analysis: Analysis) -> tuple[Plot, Plot]:
 
 
 def _test(panel: Panel, test: ResidualTest) -> Plot:
-    known = np.isfinite(test.correlation)
-    if not known.any():
+    finite = np.isfinite(test.correlation)
+    if not finite.any():
         raise UnusableInputError("research.held_out_short", "too few samples are held out to test the residual")
-    band = test.band[known]
-    curve = Curve(1e3 * test.lag_s[known], test.correlation[known], colour="model", low=-band, high=band)
+    band = test.band[finite]
+    curve = Curve(1e3 * test.lag_s[finite], test.correlation[finite], colour="model", low=-band, high=band)
     return Plot(TITLES[panel], LAG, Axis(), (curve,))

@@ -133,32 +133,32 @@ def sampled_curves(analysis: Analysis, surface_position_m: float) -> list[Sample
     """
     if not is_mechanical(analysis.record):
         return []
-    found: list[SampledCurve] = []
+    sampled: list[SampledCurve] = []
     samplers: tuple[Callable[[Analysis, float], list[SampledCurve]], ...]
     samplers = _response, _profile, _nonlinearity, _kernels, _partitions
     for sampler in samplers:
         try:
-            found += sampler(analysis, surface_position_m)
+            sampled += sampler(analysis, surface_position_m)
         except UnusableInputError:
             continue
-    return [curve for curve in found if curve.values.size]
+    return [curve for curve in sampled if curve.values.size]
 
 
 def trimmed(name: str, values: Array, direction: int = 0) -> SampledCurve:
     """Return values (n,) on the whole grid as a curve from the first to the last known one."""
-    known = np.flatnonzero(np.isfinite(values))
-    if not known.size:
+    indices = np.flatnonzero(np.isfinite(values))
+    if not indices.size:
         return SampledCurve(name, 0, np.zeros(0), direction)
-    return SampledCurve(name, int(known[0]), values[known[0] : known[-1] + 1], direction)
+    return SampledCurve(name, int(indices[0]), values[indices[0] : indices[-1] + 1], direction)
 
 
 def _response(analysis: Analysis, _surface: float) -> list[SampledCurve]:
     magnitude, phase = response_curves(analysis, spectra_of(analysis))
     scale = ratio_unit(analysis.record)[1]
-    at, known = np.log(_FREQUENCIES_HZ), np.log(magnitude.x)
+    at, log_frequency = np.log(_FREQUENCIES_HZ), np.log(magnitude.x)
     outside = {"left": np.nan, "right": np.nan}
-    size = np.exp(np.interp(at, known, np.log(magnitude.y / scale), **outside))
-    angle = np.interp(at, known, phase.y, **outside)
+    size = np.exp(np.interp(at, log_frequency, np.log(magnitude.y / scale), **outside))
+    angle = np.interp(at, log_frequency, phase.y, **outside)
     angle -= 360.0 * np.round(phase.y[0] / 360.0)
     return [trimmed(MAGNITUDE, size), trimmed(PHASE, angle)]
 
@@ -167,12 +167,12 @@ def _profile(analysis: Analysis, surface: float) -> list[SampledCurve]:
     profile = analysis.depth_profile()
     if profile is None:
         return []
-    found = []
+    sampled = []
     for name, values in ((MASS, profile.mass), (DAMPING, profile.damping), (STIFFNESS, profile.stiffness)):
         for way in (0, 1, -1):
             rows = (profile.direction == way) & np.isfinite(values)
-            found.append(trimmed(name, _between(GRIDS[name].x, profile.position[rows] - surface, values[rows]), way))
-    return found
+            sampled.append(trimmed(name, _between(GRIDS[name].x, profile.position[rows] - surface, values[rows]), way))
+    return sampled
 
 
 def _nonlinearity(analysis: Analysis, surface: float) -> list[SampledCurve]:
@@ -191,12 +191,12 @@ def _kernels(analysis: Analysis, _surface: float) -> list[SampledCurve]:
     model = analysis.model
     if not isinstance(model, VolterraModel) or model.kernel1 is None or model.lag_s.size < 2:
         return []
-    found = [trimmed(KERNEL1, _at_lags(model.kernel1, model.lag_s, _LAGS_FIRST))]
+    sampled = [trimmed(KERNEL1, _at_lags(model.kernel1, model.lag_s, _LAGS_FIRST))]
     if model.kernel2 is not None:
         rows = np.stack([_at_lags(row, model.lag_s, LAGS) for row in model.kernel2], axis=1)  # (LAGS, lags)
         whole = np.stack([_at_lags(row, model.lag_s, LAGS) for row in rows])
-        found.append(trimmed(KERNEL2, whole[_TRIANGLE]))
-    return found
+        sampled.append(trimmed(KERNEL2, whole[_TRIANGLE]))
+    return sampled
 
 
 def _partitions(analysis: Analysis, surface: float) -> list[SampledCurve]:

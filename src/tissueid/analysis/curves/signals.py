@@ -77,10 +77,10 @@ def density_curve(
     width: float = 1.0,
 ) -> Curve | None:
     """Return the power density of a signal (n,), in ``si_unit``, above zero frequency; None if it has none."""
-    found = power_spectrum(display_unit(si_unit)[1] * values, sample_rate_hz)
-    if found is None or not float(found[1][1:].max()) > 0.0:
+    spectrum = power_spectrum(display_unit(si_unit)[1] * values, sample_rate_hz)
+    if spectrum is None or not float(spectrum[1][1:].max()) > 0.0:
         return None
-    frequency_hz, density = (part[1:] for part in found)
+    frequency_hz, density = (part[1:] for part in spectrum)
     shown = density > _LEAST_SHARE * density.max()
     return Curve(frequency_hz[shown], density[shown], name, colour, kind, width=width)
 
@@ -147,10 +147,10 @@ def recording_plots(test: Test, held_out_s: tuple[float, float] | None = None) -
         plot = time_plot(title, SIGNAL_UNITS[names[0]], lines, colours, keys, (0.0, seconds))
         plots.append(replace(plot, x=replace(plot.x, label=TIME.label), parts=(*spans, *plot.parts)))
     if panels[-1] == ["position"] and np.isfinite(test.surface_position_m):
-        words = marked("surface of the tissue") if has_depth(test.configuration) else marked("where it began")
+        label = marked("surface of the tissue") if has_depth(test.configuration) else marked("where it began")
         surface_mm = 1e3 * test.surface_position_m
         level = Curve(np.zeros(1), np.array([surface_mm]), "", "text", "level")
-        mark = Mark(seconds, words, surface_mm, "right", "text")
+        mark = Mark(seconds, label, surface_mm, "right", "text")
         plots[-1] = replace(plots[-1], parts=(*plots[-1].parts, level), marks=(mark,))
     plots[0] = replace(plots[0], marks=(*plots[0].marks, *marks))
     return tuple(plots)
@@ -279,15 +279,15 @@ def amplitude_plots(values: Array, unit: str, intended: Array | None = None) -> 
     both = values if intended is None else np.concatenate([values, intended])
     axis, colour = _signal(unit)
     bins = np.linspace(both.min(), both.max(), int(np.clip(np.sqrt(values.size), *_PLAYED_BINS)) + 1)
-    left = [histogram(values, bins, colour, _PLAYED)]
-    right = [Curve(*_shares(values), _PLAYED, colour, width=1.2)]
+    histograms = [histogram(values, bins, colour, _PLAYED)]
+    distributions = [Curve(*_shares(values), _PLAYED, colour, width=1.2)]
     if intended is not None:
-        left.append(replace(histogram(intended, bins, "text", _INTENDED, "dashed"), width=0.85))
-        right.append(Curve(*_shares(intended), _INTENDED, "text", "dashed", width=0.85))
-    top = _KEY_ROOM * max(float(curve.y.max()) for curve in left)
+        histograms.append(replace(histogram(intended, bins, "text", _INTENDED, "dashed"), width=0.85))
+        distributions.append(Curve(*_shares(intended), _INTENDED, "text", "dashed", width=0.85))
+    top = _KEY_ROOM * max(float(curve.y.max()) for curve in histograms)
     return (
-        Plot("", axis, density_axis(unit, top), tuple(left)),
-        Plot("", axis, Axis(marked("Samples below"), "%"), tuple(right)),
+        Plot("", axis, density_axis(unit, top), tuple(histograms)),
+        Plot("", axis, Axis(marked("Samples below"), "%"), tuple(distributions)),
     )
 
 
@@ -335,20 +335,22 @@ def power_plot(
         Axis(label, log=True, limits=(0.5 * floor, 10.0 * float(played.y.max()))),
         tuple(parts),
         marks=tuple(
-            Mark(edge_hz, text, align="left" if place == len(edges) - 1 else "right")
-            for place, (edge_hz, text) in enumerate(edges)
+            Mark(edge_hz, text, align="left" if index == len(edges) - 1 else "right")
+            for index, (edge_hz, text) in enumerate(edges)
         ),
     )
 
 
-def autocorrelation_plots(found: Array, sample_rate_hz: float, target: Array | None = None) -> tuple[Plot, ...]:
+def autocorrelation_plots(correlation: Array, sample_rate_hz: float, target: Array | None = None) -> tuple[Plot, ...]:
     """Return the normalised autocorrelation (lags,) from lag 0 with its target (lags,), and their difference if any."""
-    lag_ms: Array = 1e3 / sample_rate_hz * np.arange(found.size, dtype=np.float64)
+    lag_ms: Array = 1e3 / sample_rate_hz * np.arange(correlation.size, dtype=np.float64)
     lag = replace(LAG, limits=(0.0, float(lag_ms[-1])))
-    above = Plot("", lag, Axis(marked("Autocorrelation"), zero=True), (Curve(lag_ms, found, _PLAYED, width=0.85),))
+    above = Plot(
+        "", lag, Axis(marked("Autocorrelation"), zero=True), (Curve(lag_ms, correlation, _PLAYED, width=0.85),)
+    )
     if target is None:
         return (replace(above, parts=(replace(above.curves[0], name=""),)),)
-    difference = found - target
+    difference = correlation - target
     largest = float(np.max(np.abs(difference), initial=0.0))
     exponent = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
     unit, scale = (f"×10{superscript(exponent)}", 10.0**exponent) if exponent < -1 else ("", 1.0)
@@ -390,8 +392,8 @@ def line_plot(multisine: Multisine, stimulus: Stimulus) -> Plot:
     period = multisine.period
     if len(stimulus) < period:
         raise UnusableInputError("report.short_period", "the stimulus is shorter than one period")
-    one = stimulus.values[-period:]
-    amplitude = 2.0 / period * np.abs(np.fft.rfft(one - one.mean()))
+    last_period = stimulus.values[-period:]
+    amplitude = 2.0 / period * np.abs(np.fft.rfft(last_period - last_period.mean()))
     driven, detection = multisine.driven_lines(), multisine.detection_lines()
     highest = int(driven[-1])
     shown = min(amplitude.size - 1, max(highest + 10, round(1.25 * highest)))

@@ -87,9 +87,9 @@ def held_out_prediction(label: str, analysis: Analysis, start_s: float = 0.0) ->
 
 def readable_stretch(prediction: Prediction, seconds: float = STRETCH_S) -> slice:
     """Return the first stretch of ``seconds`` with the largest number of comparable samples."""
-    known = np.isfinite(prediction.residual)
-    length = min(known.size, max(2, round(seconds * prediction.sample_rate_hz)))
-    count = np.convolve(known, np.ones(length), "valid")
+    comparable = np.isfinite(prediction.residual)
+    length = min(comparable.size, max(2, round(seconds * prediction.sample_rate_hz)))
+    count = np.convolve(comparable, np.ones(length), "valid")
     start = int(np.argmax(count))
     return slice(start, start + length)
 
@@ -275,10 +275,10 @@ def cloud_plot(
         UnusableInputError: fewer than two points are known.
     """
     scale = display_unit(si_unit)[1]
-    known = np.isfinite(modelled) & np.isfinite(measured)
-    if known.sum() < 2:
+    finite = np.isfinite(modelled) & np.isfinite(measured)
+    if finite.sum() < 2:
         raise UnusableInputError("report.nothing_held_out", "no held-out sample can be compared")
-    across, along = scale * modelled[known], scale * measured[known]
+    across, along = scale * modelled[finite], scale * measured[finite]
     both = np.array([np.minimum(across, along).min(), np.maximum(across, along).max()])
     low, high = both.tolist() if ends is None else (scale * ends[0], scale * ends[1])
     parts = [cloud(across, along, colour)]
@@ -295,10 +295,10 @@ def cloud_plot(
 
 def running_mean(x: Array, y: Array, bins: int = _BINS) -> tuple[Array, Array]:
     """Return mean x and mean y in bins of x with equal counts, (k,) each: the curve through a cloud."""
-    known = np.isfinite(x) & np.isfinite(y)
-    order = np.argsort(x[known])
+    finite = np.isfinite(x) & np.isfinite(y)
+    order = np.argsort(x[finite])
     parts = [part for part in np.array_split(order, bins) if part.size]
-    across, along = x[known], y[known]
+    across, along = x[finite], y[finite]
     return np.array([across[p].mean() for p in parts]), np.array([along[p].mean() for p in parts])
 
 
@@ -312,40 +312,42 @@ def correlation_plots(predictions: Sequence[Prediction]) -> tuple[Plot, Plot]:
     lags = max(2, min(first.memory_samples, first.measured.size // 4))
     lag_ms: Array = 1e3 / first.sample_rate_hz * np.arange(lags + 1, dtype=np.float64)
     limit = 0.0
-    left, right = [], []
+    auto, cross = [], []
     for run, colour, kind in zip(predictions, ROLES, KINDS, strict=False):
         correlation, band = autocorrelation(run.residual, lags)
         if run is first:
             ends = np.array([0.0, lag_ms[-1]])
-            left.append(
+            auto.append(
                 Curve(
                     ends, np.zeros(2), "", "muted", "line", np.full(2, -band), np.full(2, band),
                     marked("95 % band of white noise"), width=0.6, opacity=0.5,
                 )
             )  # fmt: skip
-        left.append(Curve(lag_ms[1:], correlation[1:], run.label, colour, kind, width=0.85))
+        auto.append(Curve(lag_ms[1:], correlation[1:], run.label, colour, kind, width=0.85))
         two_sided, values, half_width = cross_correlation(run.input, run.residual, lags)
         behind_ms = np.asarray(1e3 * two_sided / run.sample_rate_hz, np.float64)
-        right.append(Curve(behind_ms, values, "", colour, kind, width=0.85))
+        cross.append(Curve(behind_ms, values, "", colour, kind, width=0.85))
         sides = (np.array([side]) for side in (-half_width, half_width))
-        right += [Curve(_ZERO, side, "", colour, "level", width=0.8, opacity=0.7) for side in sides]
+        cross += [Curve(_ZERO, side, "", colour, "level", width=0.8, opacity=0.7) for side in sides]
         limit = max(limit, 1.25 * half_width, 1.1 * float(np.abs(values).max()))
     reach = float(lag_ms[-1])
     behind = Axis(marked("Lag of the residual behind the input"), "ms", limits=(-reach, reach))
     return (
-        Plot("", Axis(LAG.label, LAG.unit, limits=(0.0, reach)), Axis(marked("Residual autocorrelation")), tuple(left)),
-        Plot("", behind, Axis(marked("Input to residual"), limits=(-limit, limit), zero=True), tuple(right)),
+        Plot("", Axis(LAG.label, LAG.unit, limits=(0.0, reach)), Axis(marked("Residual autocorrelation")), tuple(auto)),
+        Plot("", behind, Axis(marked("Input to residual"), limits=(-limit, limit), zero=True), tuple(cross)),
     )
 
 
-def horizon_plot(found: PredictionCurve) -> Plot:
+def horizon_plot(prediction: PredictionCurve) -> Plot:
     """Return VAF of predictions against their horizon with a 95 % band, and that of the free run."""
-    half = CONFIDENCE * np.where(np.isfinite(found.vaf_std_percent), found.vaf_std_percent, 0.0)
-    low, high = found.vaf_percent - half, np.minimum(found.vaf_percent + half, 100.0)
-    free = found.free_run_vaf_percent
+    half = CONFIDENCE * np.where(np.isfinite(prediction.vaf_std_percent), prediction.vaf_std_percent, 0.0)
+    low, high = prediction.vaf_percent - half, np.minimum(prediction.vaf_percent + half, 100.0)
+    free = prediction.free_run_vaf_percent
     bottom = max(min(0.0, free), float(np.min(low)))
     margin = 0.08 * (100.0 - bottom)
-    ahead = Curve(1e3 * found.horizon_s, found.vaf_percent, marked("prediction"), low=low, high=high, marker="o")
+    ahead = Curve(
+        1e3 * prediction.horizon_s, prediction.vaf_percent, marked("prediction"), low=low, high=high, marker="o"
+    )
     return Plot(
         "",
         Axis(marked("Prediction horizon"), "ms", log=True),
@@ -416,27 +418,29 @@ def output_plots(analysis: Analysis) -> tuple[Plot, Plot]:
     Raises:
         UnusableInputError: no held-out sample was both received and simulated.
     """
-    found = held_out_prediction("", analysis)
-    record, (unit, scale) = analysis.held_out_record, display_unit(found.output_unit)
+    prediction = held_out_prediction("", analysis)
+    record, (unit, scale) = analysis.held_out_record, display_unit(prediction.output_unit)
     scheduled = analysis.model.simulate_scheduled(record)
-    if not np.isfinite(found.residual).any():
+    if not np.isfinite(prediction.residual).any():
         raise UnusableInputError("research.no_held_out", "no held-out sample was both received and simulated")
-    measured = Curve(*thin(found.time_s, scale * found.measured, _COLUMNS), marked("broad and pale: measured"))
-    outputs, residuals = [found.predicted], [found.residual]
+    measured = Curve(
+        *thin(prediction.time_s, scale * prediction.measured, _COLUMNS), marked("broad and pale: measured")
+    )
+    outputs, residuals = [prediction.predicted], [prediction.residual]
     if scheduled is not None:
         outputs.append(scheduled[analysis.held_out])
-        residuals.append(found.measured - scheduled[analysis.held_out])
+        residuals.append(prediction.measured - scheduled[analysis.held_out])
     time = Axis(marked("Time from the start of the record"), "s")
     upper, lower = (
         [
             Curve(
-                *thin(found.time_s, scale * values, _COLUMNS),
-                marked("faint: scheduled by the measured output") if place else "",
+                *thin(prediction.time_s, scale * values, _COLUMNS),
+                marked("faint: scheduled by the measured output") if index else "",
                 "model",
-                opacity=0.5 if place else 1.0,
+                opacity=0.5 if index else 1.0,
                 width=0.8,
             )
-            for place, values in enumerate(every)
+            for index, values in enumerate(every)
         ]
         for every in (outputs, residuals)
     )
@@ -445,7 +449,7 @@ def output_plots(analysis: Analysis) -> tuple[Plot, Plot]:
         Plot(
             marked("Measured and simulated output, held out"),
             time,
-            signal_axis(found.output_name, found.output_unit),
+            signal_axis(prediction.output_name, prediction.output_unit),
             (measured, *upper),
         ),
         Plot(difference, time, Axis(difference, unit), tuple(lower)),
@@ -461,15 +465,15 @@ def unseen_motion(analyses: Mapping[str, Analysis], engines: tuple[str, ...]) ->
     name = next((name for name in engines if name in analyses), None)
     if name is None:
         raise UnusableInputError("report.no_free_run", "no model could be run on motion that it had not seen")
-    found = held_out_prediction(name, analyses[name])
-    part = readable_stretch(found, _UNSEEN_S)
-    time_s, scale = found.time_s[part] - found.time_s[part][0], display_unit(found.output_unit)[1]
+    prediction = held_out_prediction(name, analyses[name])
+    part = readable_stretch(prediction, _UNSEEN_S)
+    time_s, scale = prediction.time_s[part] - prediction.time_s[part][0], display_unit(prediction.output_unit)[1]
     return Plot(
         marked("Unseen motion"),
         Axis(marked("Time"), "s"),
-        signal_axis(found.output_name, found.output_unit),
+        signal_axis(prediction.output_name, prediction.output_unit),
         (
-            Curve(time_s, scale * found.measured[part], marked("measured"), "measured", opacity=0.5, width=2.0),
-            Curve(time_s, scale * found.predicted[part], marked("predicted"), "model", width=0.8),
+            Curve(time_s, scale * prediction.measured[part], marked("measured"), "measured", opacity=0.5, width=2.0),
+            Curve(time_s, scale * prediction.predicted[part], marked("predicted"), "model", width=0.8),
         ),
     )
