@@ -66,7 +66,7 @@ def refused(error):
     [
         lambda: get_engine("noise"),
         lambda: get_engine("lms").from_options({"mass": 1}),
-        lambda: ImportedTable("csv", (Column("Time"),), lambda places, rows: ([], range(0))).place("Force"),
+        lambda: ImportedTable("csv", (Column("Time"),), lambda places, rows: ([], range(0))).column_index("Force"),
         lambda: TestSettings(configuration="Surface"),
         lambda: SimulatedInstrument("Tissue"),
     ],

@@ -151,14 +151,14 @@ def result_of(folder: Path, test: Test) -> AcceptedResult | None:
     key = sitting_of(test)
     if key is None or not result_path(folder, key).exists():
         return None
-    found = read_result(result_path(folder, key))
-    if found.sitting != key:
+    result = read_result(result_path(folder, key))
+    if result.sitting != key:
         raise UnusableInputError(
             "result.other_sitting",
             "{path} is the result of another sitting and is not used: move it to another folder",
             path=str(result_path(folder, key)),
         )
-    return found
+    return result
 
 
 def sitting_of(test: Test) -> str | None:

@@ -67,12 +67,12 @@ def check_session_file(path: Path) -> int:
     try:
         size = checked_size(path)
         with path.open("rb") as file:
-            place = 0
+            offset = 0
             while file.read(len(_SIGNATURE)) != _SIGNATURE:
-                place = place * 2 or _BLOCK_BYTES
-                if place > min(size, _LAST_START):
+                offset = offset * 2 or _BLOCK_BYTES
+                if offset > min(size, _LAST_START):
                     raise SessionFormatError(damaged(path))
-                file.seek(place)
+                file.seek(offset)
     except SessionFormatError:
         raise
     except UnusableInputError as error:
@@ -97,7 +97,7 @@ def session_files(folder: Path, *, recursive: bool = False) -> dict[Path, Messag
     """
     if not folder.is_dir():
         raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(folder))
-    found: dict[Path, Message | None] = {}
+    reasons: dict[Path, Message | None] = {}
     try:
         names = sorted(folder.rglob("*") if recursive else folder.iterdir())
     except OSError as error:
@@ -107,12 +107,12 @@ def session_files(folder: Path, *, recursive: bool = False) -> dict[Path, Messag
             continue
         try:
             check_session_file(path)
-            found[path] = None
+            reasons[path] = None
         except SessionFormatError as error:
             message = error.message
             assert isinstance(message, Message)
-            found[path] = message
-    return found
+            reasons[path] = message
+    return reasons
 
 
 def unreadable(error: Exception) -> Message:
@@ -121,10 +121,10 @@ def unreadable(error: Exception) -> Message:
     return Message("file.unreadable", "cannot be read: {reason}", reason=reason)
 
 
-def located(place: str, reason: str) -> Message:
+def located(location: str, reason: str) -> Message:
     """Return a message with the location of a reason, and with the code and the values of the reason."""
     values = dict(reason.values) if isinstance(reason, Message) else {}
-    return Message(code_of(reason), "{path}: {reason}", **values | {"path": place, "reason": reason})
+    return Message(code_of(reason), "{path}: {reason}", **values | {"path": location, "reason": reason})
 
 
 def missing(path: Path) -> Message:

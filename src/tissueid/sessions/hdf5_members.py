@@ -37,17 +37,17 @@ def check_heaps(path: Path) -> None:
         start, tail = 0, b""
         while block := file.read(_BLOCK):
             data = tail + block
-            place = data.find(_MARK)
-            while place >= 0:
-                _check(file, start - len(tail) + place)
-                place = data.find(_MARK, place + 1)
+            offset = data.find(_MARK)
+            while offset >= 0:
+                _check(file, start - len(tail) + offset)
+                offset = data.find(_MARK, offset + 1)
             start += len(block)
             tail = data[-len(_MARK) + 1 :]
             file.seek(start)
 
 
-def _check(file: BinaryIO, place: int) -> None:
-    file.seek(place)
+def _check(file: BinaryIO, offset: int) -> None:
+    file.seek(offset)
     head = file.read(_HEAD)
     size = int.from_bytes(head[len(_MARK) :], "little")
     if size > MAX_HEAP_BYTES:
@@ -206,11 +206,11 @@ def plain_attributes(attributes: h5py.AttributeManager) -> dict[str, str | float
             count=len(attributes),
             most=MAX_MEMBERS,
         )
-    found: dict[str, str | float] = {}
+    plain: dict[str, str | float] = {}
     length = 0
     for name in attributes:
         if (value := _attribute(attributes, name)) is not None:
-            found[storable_text(name)] = value
+            plain[storable_text(name)] = value
             length += len(value) if isinstance(value, str) else 0
         if length > _MOST_CHARACTERS:
             raise SessionFormatError(
@@ -218,7 +218,7 @@ def plain_attributes(attributes: h5py.AttributeManager) -> dict[str, str | float
                 "attributes of more than {most} characters in one place",
                 most=_MOST_CHARACTERS,
             )
-    return found
+    return plain
 
 
 def _attribute(attributes: h5py.AttributeManager, name: str) -> str | float | None:

@@ -134,13 +134,13 @@ def _finding(item: object) -> QualityFinding | None:
     texts = [item.get(name) for name in ("code", "words", "advice")]
     if not all(isinstance(text, str) for text in texts):
         return None
-    code, words, advice = (str(text)[:_LONGEST_TEXT] for text in texts)
+    code, message, advice = (str(text)[:_LONGEST_TEXT] for text in texts)
     messages = item.get("messages")
     if isinstance(messages, dict):
-        words, advice = _restored(messages.get("words"), words), _restored(messages.get("advice"), advice)
+        message, advice = _restored(messages.get("words"), message), _restored(messages.get("advice"), advice)
     value = item.get("value")
     number = float(value) if isinstance(value, int | float) and abs(value) < 1e300 else None
-    return QualityFinding(code, item["severity"], words, advice, number)
+    return QualityFinding(code, item["severity"], message, advice, number)
 
 
 def _restored(stored: object, text: str) -> str:

@@ -103,11 +103,11 @@ class ReaderProcess:
         assert process.stdout is not None
         process.stdin.write(request)
         process.stdin.flush()
-        found = []
+        items = []
         while True:
             kind, value = pickle.load(process.stdout)  # noqa: S301 - written by this program's own child
             if kind == "item":
-                found.append(value)
+                items.append(value)
                 continue
             if kind == "last":
                 self._ended()
@@ -115,7 +115,7 @@ class ReaderProcess:
                 raise RuntimeError(value)
             if isinstance(value, UnusableInputError):
                 raise value
-            return found
+            return items
 
     def _running(self) -> subprocess.Popen[bytes]:
         if self._process is not None and self._process.poll() is None:
@@ -208,8 +208,8 @@ def _served(
 ) -> tuple[str, Exception | str | None]:
     try:
         _end_after(seconds)
-        found = _TASKS[task](path, *arguments)
-        for item in found if isinstance(found, Iterator) else (found,):
+        result = _TASKS[task](path, *arguments)
+        for item in result if isinstance(result, Iterator) else (result,):
             _send(outgoing, "item", item)
             _end_after(seconds)
     except UnusableInputError as error:

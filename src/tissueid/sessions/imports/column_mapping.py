@@ -38,7 +38,7 @@ class Mapped:
     """One signal: the index of its column, from 0, its header, and its unit."""
 
     role: str
-    place: int
+    index: int
     header: str
     unit: Unit
     is_assumed: bool = False
@@ -51,7 +51,7 @@ def parse_map(options: Sequence[str]) -> dict[str, tuple[str, str]]:
     Raises:
         UnusableInputError: an option is invalid, or a role is unknown, given twice or missing.
     """
-    found: dict[str, tuple[str, str]] = {}
+    columns: dict[str, tuple[str, str]] = {}
     for option in options:
         role, equals, rest = option.partition("=")
         role = role.strip()
@@ -59,17 +59,17 @@ def parse_map(options: Sequence[str]) -> dict[str, tuple[str, str]]:
             raise UnusableInputError(f"--map is ROLE=COLUMN:UNIT, such as force=2:N, not {option!r}")
         if role not in ROLES:
             raise UnusableInputError(f"--map knows no {role!r}; it knows {', '.join(ROLES)}")
-        if role in found:
+        if role in columns:
             raise UnusableInputError(f"--map says twice which column is {role}")
         column, colon, unit = rest.rpartition(":")
         if not colon or ")" in unit:  # the colon of MATLAB's x(:,2)
             column, unit = rest, ""
         if unit:
             checked_unit(role, unit)
-        found[role] = (column, unit)
-    if len(found.keys() - {"time"}) < 2:
+        columns[role] = (column, unit)
+    if len(columns.keys() - {"time"}) < 2:
         raise UnusableInputError("--map has to name at least two signals, an input and an output")
-    return found
+    return columns
 
 
 def mapped(file: ImportedTable, wanted: dict[str, tuple[str, str]]) -> tuple[list[Mapped], list[str]]:
@@ -78,23 +78,23 @@ def mapped(file: ImportedTable, wanted: dict[str, tuple[str, str]]) -> tuple[lis
     Raises:
         UnusableInputError: there is no such column, one is used twice, or a unit is missing.
     """
-    found: list[Mapped] = []
+    columns: list[Mapped] = []
     notices: list[str] = []
     for role, (column, unit) in wanted.items():
-        place = file.place(column)
-        chosen_column = file.columns[place]
-        if any(other.place == place for other in found):
+        index = file.column_index(column)
+        chosen_column = file.columns[index]
+        if any(other.index == index for other in columns):
             raise UnusableInputError(
                 "import.column_twice", "column '{column}' is used for two signals", column=Verbatim(column)
             )
-        header = chosen_column.header or f"column {place + 1}"
+        header = chosen_column.header or f"column {index + 1}"
         if unit:
             chosen, contrary = _chosen(role, header, chosen_column, unit)
             notices += contrary
         else:
             chosen = _stated(role, column, chosen_column)
-        found.append(Mapped(role, place, header, chosen))
-    return found, notices
+        columns.append(Mapped(role, index, header, chosen))
+    return columns, notices
 
 
 def _chosen(role: str, header: str, column: Column, text: str) -> tuple[Unit, list[str]]:
@@ -106,10 +106,10 @@ def _chosen(role: str, header: str, column: Column, text: str) -> tuple[Unit, li
     chosen = checked_unit(role, text)
     expected = SIGNAL_UNITS.get(role, "")
     stated = "s" if column.dated else column.unit_for(role, expected)
-    known = unit_of(stated, expected) if stated else None
-    if not stated or (known is not None and _size(known) == _size(chosen)):
+    stated_unit = unit_of(stated, expected) if stated else None
+    if not stated or (stated_unit is not None and _size(stated_unit) == _size(chosen)):
         return chosen, []
-    if column.dated or (known is not None and not text.endswith("!") and not _is_weight(known, chosen)):
+    if column.dated or (stated_unit is not None and not text.endswith("!") and not _is_weight(stated_unit, chosen)):
         raise UnusableInputError(
             "import.contradiction",
             "column '{column}' is in {stated} by its header, not in {used}: choose {stated}, or write {used}! if the "
@@ -168,10 +168,10 @@ def _is_weight(stated: Unit, chosen: Unit) -> bool:
     return (stated.si, chosen.si) == ("kg", "N") and math.isclose(stated.scale, 9.80665 * chosen.scale)
 
 
-def guessed_role(file: ImportedTable, place: int) -> str:
+def guessed_role(file: ImportedTable, index: int) -> str:
     """Return the probable role of a column by its name or else by its unit; "" if unknown."""
-    column = file.columns[place]
-    if place == file.time or column.dated or column.name.casefold() in TIME_NAMES:
+    column = file.columns[index]
+    if index == file.time or column.dated or column.name.casefold() in TIME_NAMES:
         return "time"
     units = {role: column.unit_for(role, SIGNAL_UNITS[role]) for role in NAMED_LIKE}
     by_unit = [
@@ -193,18 +193,18 @@ def time_column(file: ImportedTable, taken: Sequence[Mapped]) -> Mapped | None:
         UnusableInputError: it states a unit that is not one of time.
     """
     places = [file.time] if file.time is not None else []
-    places += [place for place, column in enumerate(file.columns) if column.name.casefold() in TIME_NAMES]
-    dated = [place for place, column in enumerate(file.columns) if column.dated]
+    places += [index for index, column in enumerate(file.columns) if column.name.casefold() in TIME_NAMES]
+    dated = [index for index, column in enumerate(file.columns) if column.dated]
     places += dated if len(dated) == 1 else []
     refused: UnusableInputError | None = None
-    for place in places:
-        column = file.columns[place]
-        if any(other.place == place for other in taken):
+    for index in places:
+        column = file.columns[index]
+        if any(other.index == index for other in taken):
             continue
         if not column.dated and not column.unit_for("time", "s"):
-            return Mapped("time", place, column.header, Unit("s", "s"), is_assumed=True)
+            return Mapped("time", index, column.header, Unit("s", "s"), is_assumed=True)
         try:
-            return Mapped("time", place, column.header, _stated("time", str(place + 1), column))
+            return Mapped("time", index, column.header, _stated("time", str(index + 1), column))
         except UnusableInputError as error:
             refused = refused or error
     if refused is not None:

@@ -149,21 +149,21 @@ def seconds(cells: list[str]) -> NDArray[np.float64]:
         ValueError: a cell is neither a time nor missing; the argument is its index.
     """
     result = np.empty(len(cells))
-    for place, cell in enumerate(cells):
+    for index, cell in enumerate(cells):
         if is_missing(cell):
-            result[place] = np.nan
+            result[index] = np.nan
             continue
         if not is_time(cell):
-            raise ValueError(place)
+            raise ValueError(index)
         text = cell.strip().replace(",", ".")
         date, _, clock = text.replace(" ", "T").rpartition("T")
         clock = clock if clock[2] == ":" else f"0{clock}"
         try:
             moment = datetime.fromisoformat(f"{date or '2001-01-01'}T{clock}")
         except ValueError:
-            raise ValueError(place) from None
+            raise ValueError(index) from None
         since = moment - (_BEGIN if moment.tzinfo is None else _BEGIN_UTC)
-        result[place] = since.days * 86_400 + since.seconds + since.microseconds / 1e6
+        result[index] = since.days * 86_400 + since.seconds + since.microseconds / 1e6
     return result
 
 
@@ -175,20 +175,20 @@ def numbers(cells: list[str], decimal: str) -> NDArray[np.float64]:
     """
     if decimal == ".":
         try:
-            found = np.array(list(map(float, cells)))
+            values = np.array(list(map(float, cells)))
         except ValueError:
             pass
         else:
             if not any("_" in cell for cell in cells):  # Python accepts underscores between digits, data files do not
-                return found
+                return values
     result = np.empty(len(cells))
-    for place, cell in enumerate(cells):
+    for index, cell in enumerate(cells):
         if is_number(cell, decimal):
-            result[place] = float(cell.strip().replace(",", ".").replace("d", "e").replace("D", "e"))
+            result[index] = float(cell.strip().replace(",", ".").replace("d", "e").replace("D", "e"))
         elif is_missing(cell):
-            result[place] = np.nan
+            result[index] = np.nan
         else:
-            raise ValueError(place)
+            raise ValueError(index)
     return result
 
 
@@ -273,8 +273,8 @@ def _layout(lines: list[str], decimal_sign: str | None) -> _Layout:
     start = _first_row(lines, delimiter, decimal, width)
     rows = [row for line in lines[start:] if len(row := cells_of(line, delimiter)) == width]
     columns = [
-        replace(column, dated=_is_dated([row[place] for row in rows]))
-        for place, column in enumerate(_columns(lines[:start], delimiter, width, lines[start:]))
+        replace(column, dated=_is_dated([row[index] for row in rows]))
+        for index, column in enumerate(_columns(lines[:start], delimiter, width, lines[start:]))
     ]
     if decimal_sign is not None:
         return _Layout(
@@ -306,9 +306,9 @@ def _score(rows: list[list[str]], decimal: str) -> tuple[float, int]:
     score = 0.0
     for row in different:
         if row.total() == width:
-            found = sum(count for cell, count in row.items() if is_number(cell, decimal))
-            texts = width - found - sum(count for cell, count in row.items() if is_missing(cell) or is_time(cell))
-            score += max(0.0, found - 0.9 * texts)
+            numeric = sum(count for cell, count in row.items() if is_number(cell, decimal))
+            texts = width - numeric - sum(count for cell, count in row.items() if is_missing(cell) or is_time(cell))
+            score += max(0.0, numeric - 0.9 * texts)
     return score, width
 
 
@@ -316,13 +316,13 @@ def _first_row(lines: list[str], delimiter: str, decimal: str, width: int) -> in
     split = [[] if not line.strip() or _is_comment(line) else cells_of(line, delimiter) for line in lines]
     rows = [cells for cells in split if len(cells) == width]
     numeric = [
-        place for place in range(width) if 2 * sum(is_number(cells[place], decimal) for cells in rows) >= len(rows)
+        index for index in range(width) if 2 * sum(is_number(cells[index], decimal) for cells in rows) >= len(rows)
     ]
     for number, cells in enumerate(split):
         if len(cells) != width:
             continue
-        found = [is_number(cells[place], decimal) for place in numeric]
-        if any(found) and all(f or is_missing(cells[p]) for f, p in zip(found, numeric, strict=True)):
+        is_numeric = [is_number(cells[index], decimal) for index in numeric]
+        if any(is_numeric) and all(f or is_missing(cells[p]) for f, p in zip(is_numeric, numeric, strict=True)):
             return number
     raise UnusableInputError(
         "import.no_numeric_row", "the first lines hold no row of numbers: it is not a table of data"
@@ -350,8 +350,8 @@ def _columns(above: list[str], delimiter: str, width: int, below: list[str]) -> 
 def _are_units(cells: list[str]) -> bool:
     """Return whether a row under the names states units: each in brackets, or at least half of them known."""
     texts = [cell for cell in cells if cell and cell not in NO_UNIT]
-    known = sum(is_a_unit(_BRACKETS.sub(r"\1", text)) for text in texts)
-    return bool(texts) and (all(_BRACKETS.fullmatch(text) for text in texts) or 2 * known >= len(texts))
+    recognised = sum(is_a_unit(_BRACKETS.sub(r"\1", text)) for text in texts)
+    return bool(texts) and (all(_BRACKETS.fullmatch(text) for text in texts) or 2 * recognised >= len(texts))
 
 
 def _under(name: str, unit: str) -> Column:
@@ -391,49 +391,49 @@ def _load(
                     others=layout.width,
                     rows=ROWS,
                 )
-            for column, place in zip(cells, places, strict=True):
-                column.append(row[place])
-        blocks.append([_numbers(column, block, layout, place) for column, place in zip(cells, places, strict=True)])
+            for column, index in zip(cells, places, strict=True):
+                column.append(row[index])
+        blocks.append([_numbers(column, block, layout, index) for column, index in zip(cells, places, strict=True)])
     return [np.concatenate(parts) for parts in zip(*blocks, strict=True)], chosen
 
 
-def _numbers(cells: list[str], block: list[tuple[int, str]], layout: _Layout, place: int) -> NDArray[np.float64]:
+def _numbers(cells: list[str], block: list[tuple[int, str]], layout: _Layout, column: int) -> NDArray[np.float64]:
     try:
-        if layout.columns[place].dated:
+        if layout.columns[column].dated:
             return seconds(cells)
         if layout.grouping:
             sign = layout.grouping
             cells = [cell.replace(sign, "") if GROUPED[sign].fullmatch(cell.strip()) else cell for cell in cells]
         elif not layout.is_sure:
-            _check_grouping(cells, block, layout, place)
+            _check_grouping(cells, block, layout, column)
         return numbers(cells, layout.decimal)
     except ValueError as error:
         bad = int(error.args[0])
         if not layout.grouping and any(pattern.fullmatch(cells[bad].strip()) for pattern in GROUPED.values()):
-            raise _thousands(block[bad][0], place, cells[bad]) from error
+            raise _thousands(block[bad][0], column, cells[bad]) from error
         raise UnusableInputError(
             "import.not_a_number",
             "line {line}, column {column}: {found} is not a number; leave rows out ({rows})",
             line=block[bad][0],
-            column=place + 1,
+            column=column + 1,
             found=shown(cells[bad]),
             rows=ROWS,
         ) from error
 
 
-def _thousands(line: int, place: int, cell: str) -> UnusableInputError:
+def _thousands(line: int, column: int, cell: str) -> UnusableInputError:
     return UnusableInputError(
         "import.thousands",
         "line {line}, column {column}: {found} can be a number of thousands or one with decimals: choose its decimal "
         "sign ({action})",
         line=line,
-        column=place + 1,
+        column=column + 1,
         found=shown(cell),
         action=DECIMAL,
     )
 
 
-def _check_grouping(cells: list[str], block: list[tuple[int, str]], layout: _Layout, place: int) -> None:
+def _check_grouping(cells: list[str], block: list[tuple[int, str]], layout: _Layout, column: int) -> None:
     """Check that the decimal sign of a column cannot be a sign between thousands.
 
     Raises:
@@ -441,10 +441,10 @@ def _check_grouping(cells: list[str], block: list[tuple[int, str]], layout: _Lay
             one, because numbers of three decimals all have it.
     """
     sign = layout.decimal
-    having = [place for place, cell in enumerate(cells) if sign in cell]
+    having = [row for row, cell in enumerate(cells) if sign in cell]
     if not having or (sign == "." and len(having) == len(cells)):
         return
     if any(re.match(r"\s*[+-]?\d{4}", cell) for cell in cells):
         return
     if all(GROUPED[sign].fullmatch(cells[each].strip()) for each in having):
-        raise _thousands(block[having[0]][0], place, cells[having[0]])
+        raise _thousands(block[having[0]][0], column, cells[having[0]])

@@ -99,15 +99,15 @@ def instrument_figures(options: Sequence[str]) -> dict[str, str | float]:
     Raises:
         UnusableInputError: an unknown parameter, or an invalid value.
     """
-    found: dict[str, str | float] = {}
+    figures: dict[str, str | float] = {}
     for option in options:
         key, equals, value = option.partition("=")
         if not equals or key not in _FIGURES:
             raise UnusableInputError(f"--instrument is KEY=VALUE, with a KEY of {', '.join(_FIGURES)}; not {option!r}")
-        if key in found:
+        if key in figures:
             raise UnusableInputError(f"--instrument says {key} twice")
-        found[key] = _positive(key, value) if _FIGURES[key] else value
-    return found
+        figures[key] = _positive(key, value) if _FIGURES[key] else value
+    return figures
 
 
 def _positive(key: str, value: str) -> float:
@@ -144,9 +144,9 @@ def assembled(
             most=MAX_NUMBERS,
         )
     exported = [item.attributes for item in imported if item.attributes is not None]
-    for one in exported[1:]:
+    for attributes in exported[1:]:
         for part in _MORE_THAN_ONE:
-            if repr(getattr(one, part)) != repr(getattr(exported[0], part)):  # NaN differs from itself
+            if repr(getattr(attributes, part)) != repr(getattr(exported[0], part)):  # NaN differs from itself
                 raise UnusableInputError(_MORE_THAN_ONE[part])
     if exported:
         device, subject = exported[0].device(), exported[0].subject
@@ -158,9 +158,9 @@ def assembled(
     )
     if dates := [item.created for item in imported if item.created]:
         session = replace(session, created=min(dates))
-    numbers = [one.test.number for one in exported]
+    numbers = [attributes.test.number for attributes in exported]
     again = len(exported) == len(imported) and len(set(numbers)) == len(numbers)
-    if again and all(one.session == exported[0].session for one in exported):
+    if again and all(attributes.session == exported[0].session for attributes in exported):
         origin = vars(exported[0].session)
         session = replace(session, tests=tuple(item.test for item in imported), **origin)
         return session, []

@@ -165,7 +165,7 @@ class ImportedTable:
         more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
         return ", ".join(names[:_MOST_LISTED]) + more
 
-    def place(self, wanted: str) -> int:
+    def column_index(self, wanted: str) -> int:
         """Return the index, from 0, of a column by its header, its name without unit, or its number from 1.
 
         Raises:
@@ -179,7 +179,7 @@ class ImportedTable:
         ):
             places = [k for k, key in enumerate(keys) if key and key == sought]
             if len(places) > 1:
-                numbers = ", ".join(str(place + 1) for place in places)
+                numbers = ", ".join(str(index + 1) for index in places)
                 raise UnusableInputError(
                     "import.column_ambiguous",
                     "'{column}' is the name of columns {numbers}: choose one by its number",

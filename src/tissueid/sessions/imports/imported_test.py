@@ -76,11 +76,11 @@ def recording_date(path: Path, file_format: str) -> tuple[str, Origin]:
     """
     with path.open("rb") as file:
         head = file.read(_HEAD).decode("latin-1").replace("\r\n", "\n")
-    found = {"lvm": _of_lvm, "mat": _of_mat}.get(file_format, lambda _head: None)(head)
+    date = {"lvm": _of_lvm, "mat": _of_mat}.get(file_format, lambda _head: None)(head)
     origin: Origin = "header"
-    if found is None:
-        found, origin = datetime.fromtimestamp(path.stat().st_mtime), "modified"
-    return found.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), origin
+    if date is None:
+        date, origin = datetime.fromtimestamp(path.stat().st_mtime), "modified"
+    return date.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), origin
 
 
 def _of_lvm(head: str) -> datetime | None:
@@ -103,10 +103,10 @@ def _of_mat(head: str) -> datetime | None:
 def _moment(*parts: int) -> datetime | None:
     """Return a date, or None if it is invalid or from a clock that was never set (1904 or 1970)."""
     try:
-        found = datetime(*parts)  # type: ignore[arg-type]
+        date = datetime(*parts)  # type: ignore[arg-type]
     except ValueError:
         return None
-    return found if found.year > 1970 else None
+    return date if date.year > 1970 else None
 
 
 _SI = Unit("", "")
@@ -286,7 +286,7 @@ def _loaded(
 ) -> tuple[list[NDArray[np.float64]], range]:
     """Return the columns in SI, time last, and the selected rows."""
     every = [*signals, time] if time is not None else list(signals)
-    values, chosen = file.load([column.place for column in every], rows)
+    values, chosen = file.load([column.index for column in every], rows)
     return [column.unit.to_si(each) for column, each in zip(every, values, strict=True)], chosen
 
 
@@ -347,9 +347,9 @@ def _clock(file: ImportedTable, times: NDArray[np.float64], stated_hz: float | N
 
 def _exported_columns(file: ImportedTable, attributes: Attributes) -> list[Mapped]:
     """Return the columns of an export, which are in SI."""
-    found = []
+    columns = []
     for name, part in attributes.columns.items():
-        place = file.place(part.column)
+        index = file.column_index(part.column)
         if part.unit != SIGNAL_UNITS.get(name, part.unit):
             raise UnusableInputError(
                 "import.not_si",
@@ -358,10 +358,10 @@ def _exported_columns(file: ImportedTable, attributes: Attributes) -> list[Mappe
                 unit=part.unit,
             )
         unit = replace(_SI, symbol=part.unit, si=part.unit)
-        found.append(Mapped(name, place, part.column, unit))
-    if len([column for column in found if column.role != "time"]) < 2:
+        columns.append(Mapped(name, index, part.column, unit))
+    if len([column for column in columns if column.role != "time"]) < 2:
         raise UnusableInputError("import.few_signals", "its attributes file names fewer than two signals")
-    return found
+    return columns
 
 
 def _provenance(source: Source, file: ImportedTable, signals: Sequence[Mapped], rows: range) -> dict[str, str | float]:

@@ -51,9 +51,9 @@ class _Outline:
     segments: list[_Segment] = field(default_factory=list)
     """The segments read so far."""
 
-    def cell(self, place: int) -> int:
+    def cell(self, column: int) -> int:
         """Return the index in a row of a column of the file."""
-        return 2 * place - 1 if self.x_columns == "multi" and place else place
+        return 2 * column - 1 if self.x_columns == "multi" and column else column
 
     def stated(self, segment: _Segment, key: str, channel: int) -> str:
         """Return the text of one channel, from 0, in a segment's header; "" if it is missing.
@@ -61,8 +61,8 @@ class _Outline:
         With a column of times for each channel, the header has a cell for each of them as well.
         """
         values = segment.header.get(key, [])
-        place = channel * (2 if segment.is_spaced else 1)
-        return values[place] if place < len(values) else ""
+        index = channel * (2 if segment.is_spaced else 1)
+        return values[index] if index < len(values) else ""
 
     def figure(self, segment: _Segment, key: str, channel: int = 0) -> float | None:
         """Return a number of one channel, from 0, in a segment's header; None if it is missing."""
@@ -221,18 +221,18 @@ def _file_header(lines: Iterator[tuple[int, str]]) -> _Outline:
     after = head[len(FIRST_LINE) :][:1]
     stated = _header(lines, after if after in _SEPARATORS.values() else "")
 
-    def one(key: str, default: str) -> str:
+    def first_value(key: str, default: str) -> str:
         return (stated.get(key) or [default])[0] or default
 
-    separator = _SEPARATORS.get(one("Separator", "Tab").lower(), "\t")
-    decimal = one("Decimal_Separator", ".") if separator != "," else "."
+    separator = _SEPARATORS.get(first_value("Separator", "Tab").lower(), "\t")
+    decimal = first_value("Decimal_Separator", ".") if separator != "," else "."
     if decimal not in (".", ","):
         raise UnusableInputError(
             "import.lvm_decimal",
             "its header says Decimal_Separator {found}: neither a point nor a comma",
             found=shown(decimal),
         )
-    x_columns = one("X_Columns", "One").lower()
+    x_columns = first_value("X_Columns", "One").lower()
     if x_columns not in ("no", "one", "multi"):
         raise UnusableInputError(
             "import.lvm_x_columns", "its header says X_Columns {found}: not No, One or Multi", found=shown(x_columns)
@@ -261,14 +261,14 @@ def _load(
     blocks: list[list[NDArray[np.float64]]] = []
     lines = islice(_rows(path, encoding), chosen.start, chosen.stop)
     row = chosen.start
-    channels = [place - 1 for place in places if place]
+    channels = [column - 1 for column in places if column]
     checked: _Segment | None = None
     for block in blocks_of(lines, lambda line: _CELL * len(line[3])):
         for outline, segment, _, _ in block:
             if segment is not checked:
                 _check_clocks(outline, segment, channels)
                 checked = segment
-        blocks.append([_column(block, row, place, channels) for place in places])
+        blocks.append([_column(block, row, column, channels) for column in places])
         row += len(block)
     return [np.concatenate(parts) for parts in zip(*blocks, strict=True)], chosen
 
@@ -283,24 +283,24 @@ def _check_clocks(outline: _Outline, segment: _Segment, channels: Sequence[int])
         return
     clocks = {outline.clock(segment, channel): segment.channels[channel] for channel in channels}
     if len(clocks) > 1:
-        (one, (_, step)), (other, (_, further)) = [(name, clock) for clock, name in clocks.items()][:2]
+        (first, (_, step)), (second, (_, further)) = [(name, clock) for clock, name in clocks.items()][:2]
         raise UnusableInputError(
             "import.lvm_clocks",
             "'{one}' and '{other}' have different times (X0 and Delta_X; steps {step:g} and {further:g} s): import "
             "channels of one step",
-            one=Verbatim(one),
-            other=Verbatim(other),
+            one=Verbatim(first),
+            other=Verbatim(second),
             step=step or 0.0,
             further=further or 0.0,
         )
 
 
-def _column(block: list[_Row], row: int, place: int, channels: Sequence[int]) -> NDArray[np.float64]:
+def _column(block: list[_Row], row: int, index: int, channels: Sequence[int]) -> NDArray[np.float64]:
     outline = block[0][0]
-    if place == 0 and outline.x_columns == "no":
+    if index == 0 and outline.x_columns == "no":
         channel = channels[0] if channels else 0
         return np.array([_time(outline, segment, row + k, channel) for k, (_, segment, _, _) in enumerate(block)])
-    at = outline.cell(place)
+    at = outline.cell(index)
     column = []
     for _, _, number, cells in block:
         if len(cells) <= at:
@@ -309,9 +309,9 @@ def _column(block: list[_Row], row: int, place: int, channels: Sequence[int]) ->
                 "line {line} has {cells} cells; column {column} is missing",
                 line=number,
                 cells=len(cells),
-                column=place + 1,
+                column=index + 1,
             )
-        if outline.x_columns == "multi" and place and cells[at - 1] != cells[0]:
+        if outline.x_columns == "multi" and index and cells[at - 1] != cells[0]:
             raise UnusableInputError(
                 "import.lvm_own_times",
                 "line {line}: the channels have different times; export them one by one",
@@ -326,7 +326,7 @@ def _column(block: list[_Row], row: int, place: int, channels: Sequence[int]) ->
             "import.lvm_not_a_number",
             "line {line}, column {column}: {found} is not a number",
             line=block[bad][2],
-            column=place + 1,
+            column=index + 1,
             found=shown(column[bad]),
         ) from error
 

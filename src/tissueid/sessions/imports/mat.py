@@ -243,20 +243,20 @@ def _open_classic(path: Path) -> ImportedTable:
 
 
 def _open_hdf5(path: Path) -> ImportedTable:
-    found: dict[str, Place] = {}
+    vectors: dict[str, Place] = {}
     for item in _in_child("MAT vectors", path):
-        found |= item
-    if not found:
+        vectors |= item
+    if not vectors:
         raise UnusableInputError(_NOTHING)
 
     def read(name: str, rows: slice) -> NDArray[np.generic]:
-        where, _, part = found[name]
+        where, _, part = vectors[name]
         # HDF5 stores the dimensions of MATLAB in reverse order
         index = tuple(reversed([rows if isinstance(side, slice) else side for side in part]))
         values: NDArray[np.generic] = _in_child("MAT values", path, where, index)[0]
         return values
 
-    return _file({name: max(shape) for name, (_, shape, _) in found.items()}, read)
+    return _file({name: max(shape) for name, (_, shape, _) in vectors.items()}, read)
 
 
 def _in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
@@ -273,7 +273,7 @@ def _file(lengths: dict[str, int], read: Callable[[str, slice], NDArray[np.gener
     names = list(lengths)
 
     def load(places: Sequence[int], rows: RowRange) -> tuple[list[NDArray[np.float64]], range]:
-        chosen = [names[place] for place in places]
+        chosen = [names[index] for index in places]
         if len({lengths[name] for name in chosen}) > 1:
             sizes = ", ".join(f"{name} {lengths[name]}" for name in chosen)
             raise UnusableInputError(

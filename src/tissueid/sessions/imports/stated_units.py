@@ -120,13 +120,13 @@ def unit_named(text: str, role: str, expected: str) -> Unit:
             unit=Verbatim(text.strip()),
             units=_AMBIGUOUS.get(text.strip()) or _AMBIGUOUS[text.strip().lower()],
         )
-    known = OFFERED.get(expected) or tuple(symbol for symbols in OFFERED.values() for symbol in symbols)
+    offered = OFFERED.get(expected) or tuple(symbol for symbols in OFFERED.values() for symbol in symbols)
     raise UnusableInputError(
         "import.unknown_unit",
         "'{unit}' is not a known unit of {role}; known are {units} and others",
         unit=Verbatim(text),
         role=role,
-        units=", ".join(known),
+        units=", ".join(offered),
     )
 
 
@@ -147,8 +147,8 @@ def split_header(header: str) -> tuple[str, str]:
         return header, ""
     stated = match[2]
     if match.re is _BRACKETED:
-        known = [text for text in _ANY_BRACKETS.findall(header) if _is_text(text) and unit_of(text) is not None]
-        stated = known[0] if len(known) == 1 else stated
+        recognised = [text for text in _ANY_BRACKETS.findall(header) if _is_text(text) and unit_of(text) is not None]
+        stated = recognised[0] if len(recognised) == 1 else stated
     return match[1] or header, stated if _is_text(stated) else ""
 
 
@@ -216,8 +216,8 @@ def _unit_of(text: str, expected: str) -> Unit | None:
     single = len(factors) == 1 and factors[0][1] == 1
     symbol = f"{_product(factors):~C}".replace("µ", "u") if single else stated
     factor, root = _root(factors)
-    if (known := _si_units().get(root)) is not None:
-        return _made(symbol, known[0], factor / known[1])
+    if (si_unit := _si_units().get(root)) is not None:
+        return _made(symbol, si_unit[0], factor / si_unit[1])
     base = _registry().Quantity(1.0, _product(factors)).to_base_units()
     return _made(symbol, f"{base.units:~C}".replace("**", "^"), float(base.magnitude))
 
@@ -247,19 +247,19 @@ def _product(factors: list[tuple[str, int]]) -> pint.Unit:
 
 def _temperature(name: str) -> Unit:
     registry = _registry()
-    zero, one = (float(registry.Quantity(value, name).to("degree_Celsius").magnitude) for value in (0.0, 1.0))
+    at_zero, at_one = (float(registry.Quantity(value, name).to("degree_Celsius").magnitude) for value in (0.0, 1.0))
     symbol = {"kelvin": "K", "degree_Celsius": "degC", "degree_Fahrenheit": "degF"}[name]
-    return Unit(symbol, "degC", factor=round(one - zero, 12), offset=round(zero, 9))
+    return Unit(symbol, "degC", factor=round(at_one - at_zero, 12), offset=round(at_zero, 9))
 
 
 @cache
 def _si_units() -> dict[frozenset[tuple[str, Any]], tuple[str, float]]:
     """Return symbol and size of the SI unit of each quantity, by its root units."""
-    found: dict[frozenset[tuple[str, Any]], tuple[str, float]] = {}
+    units: dict[frozenset[tuple[str, Any]], tuple[str, float]] = {}
     for symbol in _SI:
         size, root = _root(list(_factors(symbol)))
-        found.setdefault(root, (_SYMBOLS.get(symbol, symbol), size))
-    return found
+        units.setdefault(root, (_SYMBOLS.get(symbol, symbol), size))
+    return units
 
 
 def _root(factors: list[tuple[str, int]]) -> tuple[float, frozenset[tuple[str, Any]]]:
@@ -279,16 +279,16 @@ def _factors(text: str) -> Iterator[tuple[str, int]]:
         inner = part.removeprefix("(").removesuffix(")") if part.startswith("(") else part
         if sign > 0 and inner == "1":
             continue
-        place = count = 0
-        while match := _FACTOR.match(inner, place):
+        position = count = 0
+        while match := _FACTOR.match(inner, position):
             yield _unit_name(match[1]), sign * int(match[2] or 1)
             count += 1
-            place = match.end()
-            between = re.compile(r"[\s*.-]+(?=[A-Za-zµμΩε°%])|[.\s]*$").match(inner, place)
-            place = between.end() if between else place
-            if place == len(inner):
+            position = match.end()
+            between = re.compile(r"[\s*.-]+(?=[A-Za-zµμΩε°%])|[.\s]*$").match(inner, position)
+            position = between.end() if between else position
+            if position == len(inner):
                 break
-        if not count or place != len(inner) or (sign < 0 and count > 1 and inner == part):
+        if not count or position != len(inner) or (sign < 0 and count > 1 and inner == part):
             raise ValueError(text)
 
 
