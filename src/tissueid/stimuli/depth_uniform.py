@@ -152,9 +152,9 @@ def design_next_noise(simulate: Simulation, design: DepthDesign, seed: int, prel
         low, high = _reachable(curve, design, edge)
         if best is not None and (low, high) == (best.depth_min_m, best.depth_max_m):
             continue  # the range is not limited by force
-        found = _design_for_range(simulate, design, seed, preload_s, curve, low, high)
-        if best is None or found.distance < best.distance:
-            best = found
+        candidate = _design_for_range(simulate, design, seed, preload_s, curve, low, high)
+        if best is None or candidate.distance < best.distance:
+            best = candidate
         if best.distance <= _GOOD_DISTANCE:
             break
     assert best is not None
@@ -239,11 +239,11 @@ def _reachable(curve: _Curve, design: DepthDesign, edge: float) -> tuple[float, 
 def _forces_for(wanted: Array, reached: Array, forces: Array) -> Array:
     """Return forces for the wanted depths from forces (m,) and the depths (m,) they reached; extrapolates linearly."""
     rising = reached + 1e-9 * np.arange(reached.size)
-    found = np.interp(wanted, rising, forces)
+    interpolated = np.interp(wanted, rising, forces)
     for beyond, end, inner in ((wanted < rising[0], 0, 3), (wanted > rising[-1], -1, -4)):
         slope = (forces[end] - forces[inner]) / (rising[end] - rising[inner])
-        found[beyond] = forces[end] + slope * (wanted[beyond] - rising[end])
-    return found
+        interpolated[beyond] = forces[end] + slope * (wanted[beyond] - rising[end])
+    return interpolated
 
 
 def _bounded(forces: Array, design: DepthDesign) -> Array:

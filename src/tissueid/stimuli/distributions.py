@@ -256,8 +256,8 @@ class Quantiles(Distribution):
 
 def kolmogorov_distance(values: Array, levels: Array) -> float:
     """Return the Kolmogorov-Smirnov distance between the empirical distributions of values (n,) and levels (m,)."""
-    one, other = np.sort(values), np.sort(levels)
-    steps = np.concatenate([one, other])
-    share = np.searchsorted(one, steps, side="right") / one.size
-    wanted = np.searchsorted(other, steps, side="right") / other.size
+    sorted_values, sorted_levels = np.sort(values), np.sort(levels)
+    steps = np.concatenate([sorted_values, sorted_levels])
+    share = np.searchsorted(sorted_values, steps, side="right") / sorted_values.size
+    wanted = np.searchsorted(sorted_levels, steps, side="right") / sorted_levels.size
     return float(np.max(np.abs(share - wanted)))

@@ -28,7 +28,7 @@ TRIED, ACCEPTED = 0, 1
 
 # Reassociation of sums allows SIMD instructions.
 @njit(cache=True, fastmath={"reassoc", "contract"}, nogil=True)
-def _swap_gain(x: Array, errors: Array, change: Array, one: int, other: int) -> float:
+def _swap_gain(x: Array, errors: Array, change: Array, first: int, second: int) -> float:
     """Fill the change (lags,) of the autocorrelation at lags 1, 2, ... and return the change of the sum of squared
     errors.
 
@@ -36,7 +36,7 @@ def _swap_gain(x: Array, errors: Array, change: Array, one: int, other: int) -> 
     two samples with each other, at the lag between them, does not change.
     """
     lags, mirrored = errors.size, x.shape[1]
-    i, j = one + lags, other + lags
+    i, j = first + lags, second + lags
     apart = x[0, j] - x[0, i]
     after_i, before_i = x[0, i + 1 : i + 1 + lags], x[1, mirrored - i : mirrored - i + lags]
     after_j, before_j = x[0, j + 1 : j + 1 + lags], x[1, mirrored - j : mirrored - j + lags]
@@ -45,7 +45,7 @@ def _swap_gain(x: Array, errors: Array, change: Array, one: int, other: int) -> 
         step = apart * (after_i[k] + before_i[k] - after_j[k] - before_j[k])
         change[k] = step
         gain += step * (2.0 * errors[k] + step)
-    between = abs(one - other) - 1
+    between = abs(first - second) - 1
     if 0 <= between < lags:
         counted = change[between]
         step = counted - apart * apart
@@ -55,14 +55,14 @@ def _swap_gain(x: Array, errors: Array, change: Array, one: int, other: int) -> 
 
 
 @njit(cache=True, nogil=True)
-def _apply_swap(x: Array, errors: Array, change: Array, rank: Integers, one: int, other: int) -> None:
+def _apply_swap(x: Array, errors: Array, change: Array, rank: Integers, first: int, second: int) -> None:
     lags = errors.size
     for k in range(lags):
         errors[k] += change[k]
-    i, j = one + lags, other + lags
+    i, j = first + lags, second + lags
     x[0, i], x[0, j] = x[0, j], x[0, i]
     x[1, x.shape[1] - 1 - i], x[1, x.shape[1] - 1 - j] = x[0, i], x[0, j]
-    rank[one], rank[other] = rank[other], rank[one]
+    rank[first], rank[second] = rank[second], rank[first]
 
 
 @njit(cache=True, nogil=True)
@@ -84,11 +84,11 @@ def try_random_pairs(
     for t in range(pairs.shape[0]):
         if error <= tolerance:
             break
-        one, other = pairs[t, 0], pairs[t, 1]
+        first, second = pairs[t, 0], pairs[t, 1]
         counts[TRIED] += 1
-        gain = _swap_gain(x, errors, change, one, other)
+        gain = _swap_gain(x, errors, change, first, second)
         if gain < 0.0:
-            _apply_swap(x, errors, change, rank, one, other)
+            _apply_swap(x, errors, change, rank, first, second)
             counts[ACCEPTED] += 1
             error += gain
     return error
@@ -100,7 +100,7 @@ def try_guided_pairs(
     errors: Array,
     change: Array,
     rank: Integers,
-    place: Integers,
+    sample_of_rank: Integers,
     levels: Array,
     gradient: Array,
     curvature: float,
@@ -117,42 +117,42 @@ def try_guided_pairs(
     directions, and the ``nearby.size`` neighbours in time on either side. The improvement is predicted from the
     ``gradient`` (n,) of half the error with respect to each sample, computed at the start of the sweep, and the mean
     second-order term: ``curvature`` for any two samples, ``nearby`` (r,) for samples 1, 2, ... apart. Only the best
-    candidate is evaluated exactly. ``place`` (n,) is the sample index of each of the ascending ``levels`` (n,). The
-    first sample is never moved. Updates the same arrays as :func:`try_random_pairs`.
+    candidate is evaluated exactly. ``sample_of_rank`` (n,) is the sample index of each of the ascending ``levels``
+    (n,). The first sample is never moved. Updates the same arrays as :func:`try_random_pairs`.
     """
     n = levels.size
     for t in range(picks.size):
         if error <= tolerance:
             break
-        one = picks[t]
-        r = rank[one]
-        promised, other = 0.0, -1
+        picked = picks[t]
+        r = rank[picked]
+        promised, partner = 0.0, -1
         distance = spreads[t]
         while distance < n:
             for side in (-1, 1):
                 s = r + side * int(distance)
-                if s < 0 or s >= n or place[s] == 0:
+                if s < 0 or s >= n or sample_of_rank[s] == 0:
                     continue
                 apart = levels[s] - levels[r]
-                promise = apart * (2.0 * (gradient[one] - gradient[place[s]]) + curvature * apart)
+                promise = apart * (2.0 * (gradient[picked] - gradient[sample_of_rank[s]]) + curvature * apart)
                 if promise < promised:
-                    promised, other = promise, place[s]
+                    promised, partner = promise, sample_of_rank[s]
             distance *= 2.0
         for k in range(nearby.size):
-            for neighbour in (one - 1 - k, one + 1 + k):
+            for neighbour in (picked - 1 - k, picked + 1 + k):
                 if neighbour < 1 or neighbour >= n:
                     continue
                 apart = levels[rank[neighbour]] - levels[r]
-                promise = apart * (2.0 * (gradient[one] - gradient[neighbour]) + nearby[k] * apart)
+                promise = apart * (2.0 * (gradient[picked] - gradient[neighbour]) + nearby[k] * apart)
                 if promise < promised:
-                    promised, other = promise, neighbour
+                    promised, partner = promise, neighbour
         counts[TRIED] += 1
-        if other < 0:
+        if partner < 0:
             continue
-        gain = _swap_gain(x, errors, change, one, other)
+        gain = _swap_gain(x, errors, change, picked, partner)
         if gain < 0.0:
-            _apply_swap(x, errors, change, rank, one, other)
-            place[rank[one]], place[rank[other]] = one, other
+            _apply_swap(x, errors, change, rank, picked, partner)
+            sample_of_rank[rank[picked]], sample_of_rank[rank[partner]] = picked, partner
             counts[ACCEPTED] += 1
             error += gain
     return error
@@ -296,11 +296,11 @@ class _Search:
     def __init__(self, start: Array, target: Array, seed: int) -> None:
         self._start, self._target = start, target
         lags = target.size - 1
-        self._place = np.argsort(start, kind="stable")
-        self._rank = np.empty_like(self._place)
-        self._rank[self._place] = np.arange(start.size)
+        self._sample_of_rank = np.argsort(start, kind="stable")
+        self._rank = np.empty_like(self._sample_of_rank)
+        self._rank[self._sample_of_rank] = np.arange(start.size)
         about = _normalised(start, lags)
-        self._levels = about[self._place]
+        self._levels = about[self._sample_of_rank]
         x = np.concatenate([np.zeros(lags), about, np.zeros(lags)])
         self._x = np.array([x, x[::-1]])
         self._padded = int(fft.next_fast_len(start.size + lags, real=True))
@@ -335,7 +335,7 @@ class _Search:
                 self._errors,
                 self._work,
                 self._rank,
-                self._place,
+                self._sample_of_rank,
                 self._levels,
                 self._gradient,
                 self._curvature,

@@ -372,40 +372,40 @@ def _comfort_concerns(steepest_n_per_s: float, least_n: float) -> Iterator[Stimu
         )
 
 
-def _sentences(found: StimulusCheck) -> Iterator[Message]:
+def _sentences(check: StimulusCheck) -> Iterator[Message]:
     yield Message(
         "stimulus.summary.range",
         "{seconds:.2f} s, {low:.2f} to {high:.2f} N ({least:.1f} to {most:.1f} V with the coil at rest).",
-        seconds=found.seconds,
-        low=found.force_min_n,
-        high=found.force_max_n,
-        least=found.voltage_min_v,
-        most=found.voltage_max_v,
+        seconds=check.seconds,
+        low=check.force_min_n,
+        high=check.force_max_n,
+        least=check.voltage_min_v,
+        most=check.voltage_max_v,
     )
-    if found.crest_factor is None or found.power_95_hz is None or found.power_99_hz is None:
+    if check.crest_factor is None or check.power_95_hz is None or check.power_99_hz is None:
         yield Message(
-            "stimulus.summary.constant", "The force does not vary ({force:.2f} N throughout).", force=found.force_mean_n
+            "stimulus.summary.constant", "The force does not vary ({force:.2f} N throughout).", force=check.force_mean_n
         )
     else:
         yield Message(
             "stimulus.summary.crest",
             "About its mean of {mean:.2f} N it has {rms:.2f} N root mean square, crest factor {crest:.2f}.",
-            mean=found.force_mean_n,
-            rms=found.force_std_n,
-            crest=found.crest_factor,
+            mean=check.force_mean_n,
+            rms=check.force_std_n,
+            crest=check.crest_factor,
         )
         yield Message(
             "stimulus.summary.power",
             "95 % of its power lies below {most:.0f} Hz, 99 % below {nearly_all:.0f} Hz.",
-            most=found.power_95_hz,
-            nearly_all=found.power_99_hz,
+            most=check.power_95_hz,
+            nearly_all=check.power_99_hz,
         )
-    warmth = found.heating
+    warmth = check.heating
     yield Message(
         "stimulus.summary.current",
         "The current is {rms:.2f} A root mean square, {peak:.2f} A at its peak.",
-        rms=found.rms_current_a,
-        peak=found.peak_current_a,
+        rms=check.rms_current_a,
+        peak=check.peak_current_a,
     )
     yield Message(
         "stimulus.summary.heat",
@@ -418,6 +418,6 @@ def _sentences(found: StimulusCheck) -> Iterator[Message]:
     yield Message(
         "stimulus.summary.edge",
         "Its steepest edge is {edge:.2g} N/ms. {feel}",
-        edge=found.steepest_edge_n_per_ms,
-        feel=found.feel,
+        edge=check.steepest_edge_n_per_ms,
+        feel=check.feel,
     )

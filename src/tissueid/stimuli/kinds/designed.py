@@ -79,12 +79,12 @@ class DesignPrecision:
         each = 0.5 * np.log(self.noise / self.distortion)  # log of the best power of each parameter
         if np.ptp(each) < 1e-9:
             return float(np.exp(0.5 * each[0]))
-        found = optimize.minimize_scalar(
+        optimum = optimize.minimize_scalar(
             lambda log_power: float(np.max(self.std(np.exp(0.5 * log_power), 1.0))),
             bounds=(float(each.min()), float(each.max())),
             method="bounded",
         )
-        return float(np.exp(0.5 * found.x))
+        return float(np.exp(0.5 * optimum.x))
 
 
 def predicted_precision(tissue: LocalTissue, cutoff_hz: float, force_noise_n_per_root_hz: float) -> DesignPrecision:
@@ -257,13 +257,13 @@ class Designed(OpenLoopKind):
         Raises:
             UnusableInputError: an option is invalid.
         """
-        found = {name: parameters[name].value for name in _FITTED_OPTIONS if name in parameters}
-        growth = max(0.0, found.get("stiffness_growth_per_m", _GROWTH_PER_M))
-        found["stiffness_growth_per_m"] = growth
-        if "stiffness_n_per_m" in found:
-            first = found["stiffness_n_per_m"]
-            found["stiffness_n_per_m"] = max(first + growth * (load_n - first_load_n), _MIN_STIFFNESS_SHARE * first)
-        return cls.from_options(found | {"load_n": load_n} | options)
+        fitted = {name: parameters[name].value for name in _FITTED_OPTIONS if name in parameters}
+        growth = max(0.0, fitted.get("stiffness_growth_per_m", _GROWTH_PER_M))
+        fitted["stiffness_growth_per_m"] = growth
+        if "stiffness_n_per_m" in fitted:
+            first = fitted["stiffness_n_per_m"]
+            fitted["stiffness_n_per_m"] = max(first + growth * (load_n - first_load_n), _MIN_STIFFNESS_SHARE * first)
+        return cls.from_options(fitted | {"load_n": load_n} | options)
 
     @property
     def tissue(self) -> LocalTissue:

@@ -84,19 +84,19 @@ def minimise_crest_factor(lines: Lines, amplitudes: Array, phases: Array, period
     share = min(1.0, _MAX_EVALUATIONS / (size * (_CLIPPINGS + len(_NORMS) * _MAX_ITERATIONS)))
     best = _clip_iterations(lines, amplitudes, phases, size, round(share * _CLIPPINGS))
     lowest = multisine_crest_factor(lines, amplitudes, best, period)
-    found = best
+    candidate = best
     for norm in _NORMS:
-        found = scipy.optimize.minimize(
+        candidate = scipy.optimize.minimize(
             _log_norm,
-            found,
+            candidate,
             args=(lines, amplitudes, size, norm),
             jac=True,
             method="L-BFGS-B",
             options={"maxiter": max(1, round(share * _MAX_ITERATIONS)), "maxcor": _CORRECTIONS},
         ).x
-        reached = multisine_crest_factor(lines, amplitudes, found, period)
+        reached = multisine_crest_factor(lines, amplitudes, candidate, period)
         if reached < lowest:
-            best, lowest = found, reached
+            best, lowest = candidate, reached
     return np.asarray(best, dtype=np.float64)
 
 
@@ -187,21 +187,21 @@ def multisine_record(lines: Lines, amplitudes: Array, phases: Array, period: int
 
     The period is rotated so that the record begins as close to its mean as possible.
     """
-    one = sum_of_sines(lines, amplitudes, phases, period)
-    begin = _start_sample(one, settling, periods)
-    return np.take(one, np.arange(begin, begin + settling + periods * period), mode="wrap")
+    waveform = sum_of_sines(lines, amplitudes, phases, period)
+    begin = _start_sample(waveform, settling, periods)
+    return np.take(waveform, np.arange(begin, begin + settling + periods * period), mode="wrap")
 
 
-def _start_sample(one: Array, settling: int, periods: int) -> int:
+def _start_sample(waveform: Array, settling: int, periods: int) -> int:
     """Return the sample of the period (n,) at which a record of ``settling`` samples and whole periods is nearest its
     mean.
     """
-    n = one.size
-    upto = np.concatenate([[0.0], np.cumsum(np.tile(one, 2))])
+    n = waveform.size
+    upto = np.concatenate([[0.0], np.cumsum(np.tile(waveform, 2))])
     over = settling % n
     run_in = upto[over : over + n] - upto[:n] + (settling // n) * upto[n]
     mean = (run_in + periods * upto[n]) / (settling + periods * n)
-    return int(np.argmin(np.abs(one - mean)))
+    return int(np.argmin(np.abs(waveform - mean)))
 
 
 _DEFAULT_GROUP = 2
@@ -356,8 +356,8 @@ class Multisine(Ranged):
         if self.phases == "random":
             return best_random_phases(driven, sizes, self.period, self.draws, rng)
         starts = [2.0 * np.pi * rng.random(driven.size) for _ in range(self.draws)]
-        found = [minimise_crest_factor(driven, sizes, start, self.period) for start in starts]
-        return min(found, key=lambda phases: multisine_crest_factor(driven, sizes, phases, self.period))
+        candidates = [minimise_crest_factor(driven, sizes, start, self.period) for start in starts]
+        return min(candidates, key=lambda phases: multisine_crest_factor(driven, sizes, phases, self.period))
 
     def _random(self, seed: int, stream: int) -> np.random.Generator:
         return np.random.Generator(np.random.PCG64([seed, stream]))
@@ -471,7 +471,7 @@ class Multisine(Ranged):
             resolution=self.resolution_hz,
         )
         if candidates.size < 2:
-            left = marked(" after the notches") if self.notches else ""
+            suffix = marked(" after the notches") if self.notches else ""
             raise UnusableInputError(
                 "multisine.lines",
                 "a multisine needs at least two lines; {band} has {count} {which}{left}: widen the band or "
@@ -479,7 +479,7 @@ class Multisine(Ranged):
                 band=band,
                 count=candidates.size or marked("no"),
                 which=which,
-                left=left,
+                left=suffix,
             )
         with np.errstate(over="ignore", under="ignore"):
             power = float(np.sum(self._relative(self._frequency(candidates)) ** 2))

@@ -94,14 +94,14 @@ class LocalIdentification:
 
     def _level(self, depth: Array) -> NDArray[np.int64]:
         """Return the levels of depths (n,), m; the outermost level for depths outside the range."""
-        place = (depth - self.bounds[0]) / (self.bounds[1] - self.bounds[0])
-        return np.asarray(np.clip(np.floor(place), 0, LEVELS - 1), dtype=np.int64)
+        share = (depth - self.bounds[0]) / (self.bounds[1] - self.bounds[0])
+        return np.asarray(np.clip(np.floor(share), 0, LEVELS - 1), dtype=np.int64)
 
     def _adapt(self, level: int, fast: Array, depth: Array) -> None:
         """Adapt the response of a level to force and depth, fast (2, n), at depths (n,), m."""
         if self.updates[level] == 0.0 and self.updates.any():
-            known = np.flatnonzero(self.updates)
-            self._responses[level] = self._responses[known[np.argmin(np.abs(known - level))]]
+            updated = np.flatnonzero(self.updates)
+            self._responses[level] = self._responses[updated[np.argmin(np.abs(updated - level))]]
         self._work[adaptation.RESPONSE] = self._responses[level]
         errors = np.empty(depth.size)
         force, moved = np.ascontiguousarray(fast)
@@ -143,17 +143,17 @@ class LocalIdentification:
         weight = np.ones(measured.size)
         powers = np.stack([np.ones_like(self._s), self._s, self._s**2], axis=1)
         scale = np.abs(powers[-1]).max() ** (np.arange(3) / 2.0)
-        found = np.zeros(3)
+        coefficients = np.zeros(3)
         for _ in range(_REFITS):
             rows = (weight * measured)[:, None] * powers / scale
             stacked = np.concatenate([rows.real, rows.imag])
             asked = np.concatenate([weight, np.zeros(weight.size)])
-            found = np.linalg.lstsq(stacked, asked, rcond=None)[0] / scale
-            denominator = np.abs(powers @ found)
+            coefficients = np.linalg.lstsq(stacked, asked, rcond=None)[0] / scale
+            denominator = np.abs(powers @ coefficients)
             if not (np.isfinite(denominator).all() and denominator.min() > 0.0):
                 return None
             weight = 1.0 / denominator
-        stiffness, damping, mass = found.tolist()
+        stiffness, damping, mass = coefficients.tolist()
         if not (stiffness > 0.0 and damping > 0.0 and mass > 0.0 and math.isfinite(stiffness + damping + mass)):
             return None
         return SecondOrder(mass=mass, damping=damping, stiffness=stiffness)
@@ -179,7 +179,7 @@ class TargetSweep:
         self._edges = edges
         self._shares = shares
         self._traverse = traverse
-        self.place = float(edges[0])
+        self.depth = float(edges[0])
         self.rising = True
 
     def advance(self, want: Array, remaining: int, limits: tuple[float, float], n: int) -> Array:
@@ -198,7 +198,7 @@ class TargetSweep:
         if asked.size:
             low = max(low, float(self._edges[asked[0]]))
             high = max(low, min(high, float(self._edges[asked[-1] + 1])))
-        self.place = float(np.clip(self.place, low, high))
+        self.depth = float(np.clip(self.depth, low, high))
         for _ in range(_MAX_REVERSALS):
             times, depths = self._plan_sweep(want, remaining - done, low, high)
             ask = np.arange(1, n - done + 1, dtype=np.float64)
@@ -207,20 +207,20 @@ class TargetSweep:
             path[done : done + count] = np.interp(ask[:count], times, depths)
             done += count
             if done == n:
-                self.place = float(path[-1])
+                self.depth = float(path[-1])
                 return path
-            self.place = float(depths[-1])
+            self.depth = float(depths[-1])
             self.rising = not self.rising
-        path[done:] = self.place
+        path[done:] = self.depth
         return path
 
     def _plan_sweep(self, want: Array, remaining: int, low: float, high: float) -> tuple[Array, Array]:
         """Return the rest of the current sweep: times in samples from now, and depths, m."""
         edges = self._edges
         if self.rising:
-            depths = np.concatenate([[self.place], edges[(edges > self.place) & (edges < high)], [high]])
+            depths = np.concatenate([[self.depth], edges[(edges > self.depth) & (edges < high)], [high]])
         else:
-            depths = np.concatenate([[self.place], edges[(edges < self.place) & (edges > low)][::-1], [low]])
+            depths = np.concatenate([[self.depth], edges[(edges < self.depth) & (edges > low)][::-1], [low]])
         middles = 0.5 * (depths[1:] + depths[:-1])
         widths = np.abs(np.diff(depths)) / (edges[1] - edges[0])
         bins = np.clip(np.searchsorted(edges, middles, side="right") - 1, 0, want.size - 1)
@@ -344,11 +344,11 @@ class IdentifiedController:
         """Process depths (n,), m, NaN where a sample was lost, from sample index ``first`` of the test on."""
         target = self._targets[first : first + depth.size]
         depth = depth[: target.size]
-        known = np.isfinite(target) & np.isfinite(depth)
-        if not known.any():
+        valid = np.isfinite(target) & np.isfinite(depth)
+        if not valid.any():
             return
-        away = depth[known] - target[known]
-        self._scatter.learn(target[known], away)
+        away = depth[valid] - target[valid]
+        self._scatter.learn(target[valid], away)
         share = _CORRECTION * away.size / BLOCK
         most = _MAX_CORRECTION * self._span
         self._correction = float(np.clip(_FADE * self._correction - share * away.mean(), -most, most))
@@ -361,14 +361,14 @@ class IdentifiedController:
         """
         histogram, edges, static = self._histogram, self._histogram.edges, self._static
         if not self._begun:
-            self._sweep.place = float(np.clip(depth, edges[0], edges[-1]))
+            self._sweep.depth = float(np.clip(depth, edges[0], edges[-1]))
             self._begun = True
         ahead = self._targets[histogram.seen : made]
         low = max(float(edges[0]), min(static.depth(self._force[0]), float(edges[-1])))
         self.reachable = (low, max(low, min(float(edges[-1]), static.depth(self._force[1]))))
         remaining = max(BLOCK, histogram.samples - made)
         want = histogram.missing_samples(ahead[np.isfinite(ahead)], remaining, self.reachable)
-        before = self._sweep.place
+        before = self._sweep.depth
         path = self._sweep.advance(self._scatter.targets(want, remaining), remaining, self.reachable, BLOCK)
         self._targets[made : made + BLOCK] = path[: max(0, self._targets.size - made)]
         speed = np.diff(path, prepend=before) * self._rate
@@ -498,9 +498,9 @@ class OnlineIdentification:
         """Process force (k,), N, and depth (k,), m, NaN where a sample was lost, from sample index ``first`` on."""
         states = self._averages.take(force, depth)
         self.local.learn(states.force, states.depth)
-        known = np.isfinite(states.acceleration) & np.isfinite(states.force)
-        if known.any():
-            at = tuple(part[known] for part in (states.force, states.depth, states.speed, states.acceleration))
+        valid = np.isfinite(states.acceleration) & np.isfinite(states.force)
+        if valid.any():
+            at = tuple(part[valid] for part in (states.force, states.depth, states.speed, states.acceleration))
             errors = self.static.learn(*at)
             if first >= 0:
                 self._judge(at[0], errors)

@@ -57,8 +57,8 @@ class DepthHistogram:
     def bin_counts(self, depth: Array) -> NDArray[np.int64]:
         """Return the number of depths (n,), m, in each bin, (bins,)."""
         inside = depth[(depth >= self.edges[0]) & (depth <= self.edges[-1])]
-        place = np.minimum(((inside - self.edges[0]) / self._width).astype(np.int64), self.counts.size - 1)
-        return np.bincount(place, minlength=self.counts.size)
+        index = np.minimum(((inside - self.edges[0]) / self._width).astype(np.int64), self.counts.size - 1)
+        return np.bincount(index, minlength=self.counts.size)
 
     def missing_samples(self, ahead: Array, remaining: int, between: tuple[float, float]) -> Array:
         """Return the samples missing in each bin, (bins,), to reach the desired shares; negative where there are too
@@ -184,10 +184,10 @@ class StaticMap:
         n = depth.size
         rows = np.zeros((n, KNOTS + _DAMPING_KNOTS + 1))
         at = np.arange(n)
-        place = (depth - self.knots[0]) / self._step
-        k = np.clip(np.floor(place), 0, KNOTS - 2).astype(np.int64)
-        rows[at, k] = 1.0 - (place - k)
-        rows[at, k + 1] = place - k
+        position = (depth - self.knots[0]) / self._step
+        k = np.clip(np.floor(position), 0, KNOTS - 2).astype(np.int64)
+        rows[at, k] = 1.0 - (position - k)
+        rows[at, k + 1] = position - k
         coarse = np.clip(
             (depth - self._binary_error_floor[0]) / (self._binary_error_floor[1] - self._binary_error_floor[0]),
             0.0,
@@ -231,9 +231,9 @@ class StaticMap:
 
     def force(self, depth: Array) -> Array:
         """Return F, N, at depths (n,), m; extrapolates linearly."""
-        place = (depth - self.knots[0]) / self._step
-        k = np.clip(np.floor(place), 0, KNOTS - 2).astype(np.int64)
-        return np.asarray(self._force[k] + (place - k) * (self._force[k + 1] - self._force[k]))
+        position = (depth - self.knots[0]) / self._step
+        k = np.clip(np.floor(position), 0, KNOTS - 2).astype(np.int64)
+        return np.asarray(self._force[k] + (position - k) * (self._force[k + 1] - self._force[k]))
 
     def slope(self, depth: Array) -> Array:
         """Return the slope of F, N/m, at depths (n,), m."""
