@@ -25,23 +25,23 @@ def unexplained(signals: Mapping[str, FloatArray], name: str, sample_rate_hz: fl
     past of the command (for the voltage) or of the voltage (for the others), and on its square and cube.
     """
     recorded = np.asarray(signals[name], np.float64)
-    known = np.isfinite(recorded)
-    known[: min(round(SETTLING_S * sample_rate_hz), recorded.size // 2)] = False
-    left = np.zeros(recorded.size)
-    if known.sum() < 100:
-        return left
+    valid = np.isfinite(recorded)
+    valid[: min(round(SETTLING_S * sample_rate_hz), recorded.size // 2)] = False
+    residual = np.zeros(recorded.size)
+    if valid.sum() < 100:
+        return residual
     predicted = signals.get(f"predicted_{name}")
-    if predicted is not None and np.isfinite(predicted[known]).all():
-        left[known] = recorded[known] - predicted[known]
+    if predicted is not None and np.isfinite(predicted[valid]).all():
+        residual[valid] = recorded[valid] - predicted[valid]
     else:
         cause = np.asarray(signals["command" if name == "voltage" else "voltage"], np.float64)
         features = _features(np.where(np.isfinite(cause), cause, 0.0))
-        used, mean = features[known], float(recorded[known].mean())
+        used, mean = features[valid], float(recorded[valid].mean())
         # A small ridge, for commands that do not change.
         squares = used.T @ used + 1e-8 * used.shape[0] * np.eye(used.shape[1])
-        left[known] = recorded[known] - mean - used @ np.linalg.solve(squares, used.T @ (recorded[known] - mean))
-    left[known] -= left[known].mean()
-    return left
+        residual[valid] = recorded[valid] - mean - used @ np.linalg.solve(squares, used.T @ (recorded[valid] - mean))
+    residual[valid] -= residual[valid].mean()
+    return residual
 
 
 def _features(cause: FloatArray) -> FloatArray:
@@ -59,48 +59,48 @@ def waves(angle: FloatArray, harmonics: Iterable[int]) -> FloatArray:
     return np.stack([wave(h * angle) for h in harmonics for wave in (np.cos, np.sin)], axis=1)
 
 
-def fitted(left: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[float, FloatArray]:
+def fitted(residual: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[float, FloatArray]:
     """Return the sum of squares that waves, shape (n, waves), and a constant explain, and the amplitudes of the waves.
 
     A small ridge bounds the amplitudes of slow waves that the record is too short to separate. It grows with the
     harmonic (``orders``), so that a wave without harmonics is not fitted at a fraction of its frequency.
     """
-    product, weights = _solved(left, columns, orders)
+    product, weights = _solved(residual, columns, orders)
     return float(product @ weights), weights[:-1]
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _solved(left: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solved(residual: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[FloatArray, FloatArray]:
     # Products of waves and constant with the signal, and their amplitudes.
     waves = orders.size
     product = np.empty(waves + 1)
     squares = np.empty((waves + 1, waves + 1))
-    product[:waves] = columns.T @ left
-    product[waves] = left.sum()
+    product[:waves] = columns.T @ residual
+    product[waves] = residual.sum()
     squares[:waves, :waves] = columns.T @ columns
     for k in range(waves):
         squares[k, waves] = squares[waves, k] = columns[:, k].sum()
-        squares[k, k] += 1e-3 * left.size * orders[k] ** 2
-    squares[waves, waves] = left.size
+        squares[k, k] += 1e-3 * residual.size * orders[k] ** 2
+    squares[waves, waves] = residual.size
     return product, np.linalg.solve(squares, product).astype(np.float64)
 
 
 def line(
-    left: FloatArray, time: FloatArray, harmonics: Sequence[int], low_hz: float, high_hz: float
+    residual: FloatArray, time: FloatArray, harmonics: Sequence[int], low_hz: float, high_hz: float
 ) -> tuple[float, FloatArray]:
     """Return the fundamental frequency that explains most, Hz, and the amplitudes of its harmonics
     (cosine, sine, ...).
     """
-    if time.size < 2 or not left.any():
+    if time.size < 2 or not residual.any():
         return 0.5 * (low_hz + high_hz), np.zeros(2 * len(harmonics))
     orders = np.repeat(np.asarray(harmonics, np.float64), 2)
 
     def at(frequency: float) -> tuple[float, FloatArray]:
-        return fitted(left, waves(2.0 * np.pi * frequency * time, harmonics), orders)
+        return fitted(residual, waves(2.0 * np.pi * frequency * time, harmonics), orders)
 
     spacing = 0.2 / max(float(np.ptp(time)) * harmonics[-1], 1e-3)
     grid = np.linspace(low_hz, high_hz, max(round((high_hz - low_hz) / spacing), 8))
     best = float(grid[np.argmax([at(frequency)[0] for frequency in grid])])
     around = (max(best - 1.5 * spacing, low_hz), min(best + 1.5 * spacing, high_hz))
-    found = optimize.minimize_scalar(lambda frequency: -at(float(frequency))[0], bounds=around, method="bounded")
-    return float(found.x), at(float(found.x))[1]
+    optimum = optimize.minimize_scalar(lambda frequency: -at(float(frequency))[0], bounds=around, method="bounded")
+    return float(optimum.x), at(float(optimum.x))[1]

@@ -21,18 +21,18 @@ def interpolate(values: FloatArray, at: FloatArray) -> FloatArray:
     """
     if values.size < 4:
         return values
-    found = np.empty(at.size)
+    result = np.empty(at.size)
     for n in range(at.size):
         inside = min(max(at[n], 0.0), values.size - 1.0)
         first = min(max(int(inside), 1), values.size - 3)
         t = inside - first
-        found[n] = (
+        result[n] = (
             values[first - 1] * (-t * (t - 1.0) * (t - 2.0) / 6.0)
             + values[first] * ((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
             + values[first + 1] * (-(t + 1.0) * t * (t - 2.0) / 2.0)
             + values[first + 2] * ((t + 1.0) * t * (t - 1.0) / 6.0)
         )
-    return found
+    return result
 
 
 FARTHEST_M = 0.045
@@ -58,10 +58,10 @@ def along(p, first, size, share):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def curve(values, shares):  # type: ignore[no-untyped-def]
     """Return the curve through all ``values`` at each share of the range, shape (n,)."""
-    found = np.empty(shares.size)
+    result = np.empty(shares.size)
     for n in range(shares.size):
-        found[n] = along(values, 0, values.size, shares[n])
-    return found
+        result[n] = along(values, 0, values.size, shares[n])
+    return result
 
 
 def travelled_range(tests: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:

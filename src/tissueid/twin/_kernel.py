@@ -74,21 +74,21 @@ def grown(value, growth, depth):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _call(place, effects, called, bus, p, wide, s, deep, step):  # type: ignore[no-untyped-def]
-    for j in range(called[place, b.SLOTS]):
-        k = called[place, j]
-        call_hook(effects[k], place, bus, offset(p, k * wide), offset(s, k * deep), step)
+def _call(where, effects, called, bus, p, wide, s, deep, step):  # type: ignore[no-untyped-def]
+    for j in range(called[where, b.SLOTS]):
+        k = called[where, j]
+        call_hook(effects[k], where, bus, offset(p, k * wide), offset(s, k * deep), step)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _calls(places):  # type: ignore[no-untyped-def]
     # The effects at each place, and their number in the last column.
     called = np.zeros((b.PLACES, b.SLOTS + 1), np.int64)
-    for place in range(b.PLACES):
+    for where in range(b.PLACES):
         for k in range(b.SLOTS):
-            if places[k, place]:
-                called[place, called[place, b.SLOTS]] = k
-                called[place, b.SLOTS] += 1
+            if places[k, where]:
+                called[where, called[where, b.SLOTS]] = k
+                called[where, b.SLOTS] += 1
     return called
 
 
@@ -186,9 +186,9 @@ def integrate(  # type: ignore[no-untyped-def]
                 mean_kept = (1.0 - kept) / decay
             if given[CURRENT_GIVEN]:
                 # Between two readings the current settles with the coil's time constant, well within the interval.
-                left = (measured[1, before] - measured[1, n]) * math.exp(-decay * m)
-                mean = measured[1, n] + left * mean_kept
-                current = measured[1, n] + left * kept
+                transient = (measured[1, before] - measured[1, n]) * math.exp(-decay * m)
+                mean = measured[1, n] + transient * mean_kept
+                current = measured[1, n] + transient * kept
             else:
                 middle = velocity + 0.5 * step * acceleration
                 before_step = current

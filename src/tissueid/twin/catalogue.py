@@ -21,20 +21,20 @@ def all_effects() -> dict[str, Effect]:
 
     A plug-in that fails to load, or has the name of another effect, is left out with a warning.
     """
-    found: list[Effect] = []
+    collected: list[Effect] = []
     for module in pkgutil.iter_modules(effects.__path__):
         declared = getattr(importlib.import_module(f"{effects.__name__}.{module.name}"), "EFFECT", None)
         if isinstance(declared, Effect):
-            found.append(declared)
+            collected.append(declared)
 
     def add(loaded: object) -> None:
-        if not isinstance(loaded, Effect) or loaded.name in {effect.name for effect in found}:
+        if not isinstance(loaded, Effect) or loaded.name in {effect.name for effect in collected}:
             raise TypeError("it is no Effect with a name of its own")
-        found.append(loaded)
+        collected.append(loaded)
 
     load_plugins(GROUP, "effect", add)
-    found.sort(key=lambda effect: (STAGES.index(effect.stage), effect.name))
-    return {effect.name: effect for effect in found}
+    collected.sort(key=lambda effect: (STAGES.index(effect.stage), effect.name))
+    return {effect.name: effect for effect in collected}
 
 
 def effect(name: str) -> Effect:
@@ -43,12 +43,12 @@ def effect(name: str) -> Effect:
     Raises:
         UnusableInputError: the library has no such effect.
     """
-    known = all_effects()
-    if name not in known:
+    by_name = all_effects()
+    if name not in by_name:
         raise UnusableInputError(
             "effect.unknown",
             "there is no effect {name}: choose one of {known}",
             name=Verbatim(name),
-            known=", ".join(known),
+            known=", ".join(by_name),
         )
-    return known[name]
+    return by_name[name]

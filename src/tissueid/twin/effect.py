@@ -312,6 +312,6 @@ def _weakened(parameter: Parameter, value: float) -> float:
     return min(max(weak, parameter.low), parameter.high)
 
 
-def nested(one: Effect, other: Effect) -> bool:
+def nested(first: Effect, second: Effect) -> bool:
     """Return whether one of two effects is a special case of the other."""
-    return one.special_case_of == other.name or other.special_case_of == one.name
+    return first.special_case_of == second.name or second.special_case_of == first.name

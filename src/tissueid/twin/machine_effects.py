@@ -107,8 +107,8 @@ def stiffening_hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt:
 
 def swing(tests: Sequence[Mapping[str, FloatArray]]) -> float:
     """Return the standard deviation of the positions of all tests, m."""
-    known = [test["position"][np.isfinite(test["position"])] for test in tests]
-    squares = [float(np.var(values)) for values in known if values.size]
+    positions = [test["position"][np.isfinite(test["position"])] for test in tests]
+    squares = [float(np.var(values)) for values in positions if values.size]
     return max(float(np.sqrt(sum(squares) / max(len(squares), 1))), 1e-9)
 
 
@@ -117,9 +117,9 @@ def hysteresis_starts(
 ) -> tuple[tuple[float, ...], ...]:
     """Return starting points with yield lengths of the size of the motion."""
     there = swing(tests)
-    found = [(0.3, 0.5 * there, IWAN, 0.8, 1.0, 0.3, 1.0)]
-    found += [(0.3 * times, times * there, BOUC_WEN, angle, 1.0, 0.3, 1.0) for times in _SWINGS for angle in _ANGLES]
-    return tuple(found)
+    starts = [(0.3, 0.5 * there, IWAN, 0.8, 1.0, 0.3, 1.0)]
+    starts += [(0.3 * times, times * there, BOUC_WEN, angle, 1.0, 0.3, 1.0) for times in _SWINGS for angle in _ANGLES]
+    return tuple(starts)
 
 
 def stiffening_starts(
@@ -141,8 +141,8 @@ def stiffening_starts(
 
 def stop_starts(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
     """Return starting points near either end of the travel and within it."""
-    known = np.concatenate([test["position"][np.isfinite(test["position"])] for test in tests])
-    low, less, more, high = (float(value) for value in np.quantile(known, [0.02, 0.3, 0.7, 0.98]))
+    positions = np.concatenate([test["position"][np.isfinite(test["position"])] for test in tests])
+    low, less, more, high = (float(value) for value in np.quantile(positions, [0.02, 0.3, 0.7, 0.98]))
     soft = 0.3 * 1e-4 / swing(tests)
     return (
         (high, 10.0 * soft, 1.25, 3.0, end_stop.INNER),

@@ -277,7 +277,7 @@ def _integrate(  # type: ignore[no-untyped-def]
         piece = force[first:end].copy()
         measured = np.zeros((4, piece.size))
         measured[1] = piece
-        found = np.empty((4, piece.size))
+        readings = np.empty((4, piece.size))
         _kernel.integrate(
             piece,
             measured,
@@ -291,10 +291,10 @@ def _integrate(  # type: ignore[no-untyped-def]
             places,
             parameters,
             states,
-            found,
+            readings,
             0.0,
         )
-        out[:, first:end] = found
+        out[:, first:end] = readings
 
 
 def simulate_windows(

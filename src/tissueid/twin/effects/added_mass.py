@@ -14,10 +14,10 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     if depth <= 0.0:
         return
     reached = (depth / p[1]) ** p[2]
-    left = math.exp(-min(reached, 50.0))
+    remaining = math.exp(-min(reached, 50.0))
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
-    b[bus.TISSUE_MASS] += p[0] * (1.0 - left)
-    b[bus.TISSUE_FORCE] += p[3] * p[0] * left * p[2] * reached / (depth + 1e-5) * velocity * velocity
+    b[bus.TISSUE_MASS] += p[0] * (1.0 - remaining)
+    b[bus.TISSUE_FORCE] += p[3] * p[0] * remaining * p[2] * reached / (depth + 1e-5) * velocity * velocity
 
 
 EFFECT = Effect(

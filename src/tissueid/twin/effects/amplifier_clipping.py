@@ -49,9 +49,9 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
     """Return limits near the ends of the recorded voltage, from zero and from its mean: a clipped one is there at its
     limit."""
-    found = [signals["voltage"] for signals in tests if "voltage" in signals]
-    known = [values[np.isfinite(values)] for values in found]
-    moved = [values for values in known if values.size and np.ptp(values) > 0.0]
+    recorded = [signals["voltage"] for signals in tests if "voltage" in signals]
+    received = [values[np.isfinite(values)] for values in recorded]
+    moved = [values for values in received if values.size and np.ptp(values) > 0.0]
     if not moved:
         return ()
     largest = max(moved, key=lambda values: float(np.ptp(values)))

@@ -21,12 +21,12 @@ PROBE_DEPTH, PROBE_VELOCITY, PROBE_ACCELERATION = range(7, 10)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def pull(one: float, other: float) -> float:
+def pull(begin: float, end: float) -> float:
     """Return the mean share of the adhesion while the gap changes from one width to the other, m.
 
     Within one step the gap can pass the range of the adhesion, or close, where none is left.
     """
-    near, far = min(one, other), max(one, other)
+    near, far = min(begin, end), max(begin, end)
     if far <= 0.0:
         return 0.0
     if far - near < 1e-9:

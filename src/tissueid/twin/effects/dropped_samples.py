@@ -70,15 +70,15 @@ def losses_in_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int
     The recorded voltage is compared with the command at any gain, offset and constant delay. A constant command shows
     no losses.
     """
-    known = np.isfinite(voltage)
-    if not np.isfinite(command).all() or known.sum() < SEGMENT:
+    received = np.isfinite(voltage)
+    if not np.isfinite(command).all() or received.sum() < SEGMENT:
         return []
-    if np.std(voltage[known]) < 1e-3 or np.std(command) < 1e-3:
+    if np.std(voltage[received]) < 1e-3 or np.std(command) < 1e-3:
         return []
     lags = _lags(voltage)
     shifted = _shifted(command, lags)
     rows = np.arange(command.size)
-    found: list[tuple[float, IntArray]] = []
+    candidates: list[tuple[float, IntArray]] = []
     before = np.inf
     # With a slow command, losses and gain can only be estimated together: one search starts with the loss spread over
     # the test.
@@ -86,11 +86,11 @@ def losses_in_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int
         path = np.linspace(0.0, end, command.size).astype(np.int64)
         for _ in range(6):
             gain, offset = _line(shifted[rows, path - lags[0]], voltage)
-            left = voltage[:, None] - gain * shifted - offset
-            before = min(before, float(np.nanmin(np.nanmean(left**2, axis=0))))
-            path = _min_cost_path(_costs(left), lags, JUMP_COST)
-        found.append((float(np.nanmean(left[rows, path - lags[0]] ** 2)), path))
-    after, path = min(found, key=lambda one: one[0])
+            residuals = voltage[:, None] - gain * shifted - offset
+            before = min(before, float(np.nanmin(np.nanmean(residuals**2, axis=0))))
+            path = _min_cost_path(_costs(residuals), lags, JUMP_COST)
+        candidates.append((float(np.nanmean(residuals[rows, path - lags[0]] ** 2)), path))
+    after, path = min(candidates, key=lambda candidate: candidate[0])
     missing = _missing(voltage)
     if missing:
         # No more was lost than is missing at the end. Without this bound a slow rise at the start can look early.
@@ -128,10 +128,10 @@ def _by_back_emf(
     voltage: FloatArray, current: FloatArray, gained: FloatArray, lags: IntArray, added_costs: FloatArray | float
 ) -> IntArray:
     """Return the lag at each sample from the coil's equation and additional costs."""
-    known = np.isfinite(voltage + current)
+    received = np.isfinite(voltage + current)
     # Neighbouring differences are included, so that a filter or a constant delay of the sensor is not a loss.
     moved = np.stack([np.roll(gained, -1), gained, np.roll(gained, 1)], axis=1)
-    filled = np.where(known, current, 0.0)
+    filled = np.where(received, current, 0.0)
     columns = np.stack([filled, np.diff(filled, prepend=filled[0]), np.ones(current.size)], axis=1)
     rows = np.arange(gained.size)
     path = np.zeros(gained.size, np.int64)
@@ -141,12 +141,12 @@ def _by_back_emf(
     for turn in range(4):
         index = np.clip(rows + path, 0, gained.size - 1)
         parts = stretches if turn == 0 else [whole]
-        fits = [_coil_equation(columns[index], moved, voltage[index], part & known[index]) for part in parts]
+        fits = [_coil_equation(columns[index], moved, voltage[index], part & received[index]) for part in parts]
         weights = min(fits, key=lambda fit: fit[0])[1]
-        opposing = np.where(known, voltage - columns @ weights[:3], np.nan)
-        left = _high_passed(_shifted(opposing, lags)) - _high_passed(moved @ weights[3:])[:, None]
-        left[:SETTLING] = np.nan
-        path = _min_cost_path(_costs(left) + added_costs, lags, BACK_EMF_JUMP_COST)
+        opposing = np.where(received, voltage - columns @ weights[:3], np.nan)
+        residuals = _high_passed(_shifted(opposing, lags)) - _high_passed(moved @ weights[3:])[:, None]
+        residuals[:SETTLING] = np.nan
+        path = _min_cost_path(_costs(residuals) + added_costs, lags, BACK_EMF_JUMP_COST)
     return path
 
 
@@ -166,10 +166,10 @@ def _is_motion(gained: FloatArray) -> bool:
     """Return whether differences of position are correlated, as in motion, or not, as in noise."""
     fast = _high_passed(gained)[SETTLING:]
     before, after = fast[:-1], fast[1:]
-    known = np.isfinite(before + after)
-    if known.sum() < SEGMENT or np.std(before[known]) < 1e-8:
+    received = np.isfinite(before + after)
+    if received.sum() < SEGMENT or np.std(before[received]) < 1e-8:
         return False
-    return float(np.corrcoef(before[known], after[known])[0, 1]) > MIN_CORRELATION
+    return float(np.corrcoef(before[received], after[received])[0, 1]) > MIN_CORRELATION
 
 
 def _high_passed(values: FloatArray) -> FloatArray:
@@ -198,14 +198,14 @@ def _shifted(values: FloatArray, lags: IntArray) -> FloatArray:
 
 def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     """Return gain and offset of y against x by robust regression."""
-    known = np.isfinite(y)
-    weight = np.ones(int(known.sum()))
+    received = np.isfinite(y)
+    weight = np.ones(int(received.sum()))
     gain, offset = 1.0, 0.0
     for _ in range(5):
-        gain, offset = np.polyfit(x[known], y[known], 1, w=np.sqrt(weight))
-        left = y[known] - gain * x[known] - offset
-        spread = max(float(np.median(np.abs(left))), 1e-6)
-        weight = 1.0 / (1.0 + (left / (3.0 * spread)) ** 2)
+        gain, offset = np.polyfit(x[received], y[received], 1, w=np.sqrt(weight))
+        residual = y[received] - gain * x[received] - offset
+        spread = max(float(np.median(np.abs(residual))), 1e-6)
+        weight = 1.0 / (1.0 + (residual / (3.0 * spread)) ** 2)
     return float(gain), float(offset)
 
 
@@ -215,13 +215,13 @@ def _min_cost_path(costs: FloatArray, lags: IntArray, jump_cost: float) -> IntAr
     return path
 
 
-def _costs(left: FloatArray) -> FloatArray:
+def _costs(residuals: FloatArray) -> FloatArray:
     """Return the cost of each lag from its errors, shape (n, lags); 0 where not received."""
-    known = np.isfinite(left)
-    squares = np.where(known, left, 0.0) ** 2
+    received = np.isfinite(residuals)
+    squares = np.where(received, residuals, 0.0) ** 2
     # The noise is estimated at the best constant lag over short blocks: losses inside some of them do not matter.
     stretch = 64
-    whole = squares[: squares.shape[0] // stretch * stretch].reshape(-1, stretch, left.shape[1]).mean(axis=1)
+    whole = squares[: squares.shape[0] // stretch * stretch].reshape(-1, stretch, residuals.shape[1]).mean(axis=1)
     variance = max(float(np.median(whole.min(axis=1))), 1e-18)
     costs: FloatArray = np.minimum(squares / (2.0 * variance), MAX_COST)
     return costs
@@ -243,11 +243,11 @@ def _loss_before_motion(path: IntArray, command: FloatArray) -> list[tuple[int, 
 def losses_as_parameters(slips: list[tuple[int, int]], places: int) -> Mapping[str, float]:
     """Return losses by parameter name: the largest where there are too many; unused places get no sample."""
     kept = sorted(sorted(slips, key=lambda slip: -abs(slip[1]))[:places])
-    found: dict[str, float] = {}
+    parameters: dict[str, float] = {}
     for k in range(places):
         sample, lost = kept[k] if k < len(kept) else (0, 0)
-        found[f"slip_{k + 1}_sample"], found[f"slip_{k + 1}_lost"] = float(sample), float(lost)
-    return found
+        parameters[f"slip_{k + 1}_sample"], parameters[f"slip_{k + 1}_lost"] = float(sample), float(lost)
+    return parameters
 
 
 PLACES = 24

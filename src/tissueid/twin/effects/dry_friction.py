@@ -30,9 +30,9 @@ def friction_share(s, velocity, give, spread, bristle_share, dt):  # type: ignor
     # Exact for a velocity that is constant over the step.
     path = abs(velocity) * dt / give
     settled = 1.0 if velocity > 0.0 else -1.0
-    left = s[STOPS] - settled
-    mean = settled + left * (1.0 - 0.5 * path if path < 1e-6 else (1.0 - math.exp(-path)) / path)
-    s[STOPS] = settled + left * math.exp(-path)
+    deviation = s[STOPS] - settled
+    mean = settled + deviation * (1.0 - 0.5 * path if path < 1e-6 else (1.0 - math.exp(-path)) / path)
+    s[STOPS] = settled + deviation * math.exp(-path)
     return (1.0 - bristle_share) * together / STOPS + bristle_share * mean
 
 

@@ -33,7 +33,7 @@ def starts_at_travel_ends(
     tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
 ) -> tuple[tuple[float, ...], ...]:
     """Return starting points at both ends of the travel, for a hard stop and for a soft one further in."""
-    found: list[tuple[float, ...]] = []
+    starts: list[tuple[float, ...]] = []
     travelled = [test["position"][np.isfinite(test["position"])] for test in tests if "position" in test]
     travelled = [position for position in travelled if position.size]
     if not travelled:
@@ -43,11 +43,11 @@ def starts_at_travel_ends(
     deepest = float(np.max(everything))
     if deepest > begun:
         inner = float(np.percentile(everything[everything > begun], 97.0))
-        found += [(deepest - 5e-5, 5.0, 1.25, 10.0, INNER), (inner, 0.3, 1.25, 3.0, INNER)]
+        starts += [(deepest - 5e-5, 5.0, 1.25, 10.0, INNER), (inner, 0.3, 1.25, 3.0, INNER)]
     least = float(np.min(everything))
     if least < begun:
-        found.append((least + 5e-5, 5.0, 1.25, 10.0, OUTER))
-    return tuple(found)
+        starts.append((least + 5e-5, 5.0, 1.25, 10.0, OUTER))
+    return tuple(starts)
 
 
 EFFECT = Effect(

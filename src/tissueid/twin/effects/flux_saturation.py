@@ -22,8 +22,8 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         square = flux * flux + CORNER_A * CORNER_A
         strength = fall * math.exp(0.5 * power * math.log(square))
         strength *= 0.5 * (1.0 + other + (1.0 - other) * flux / math.sqrt(square))
-        left = math.exp(-strength) if strength < 0.0 else 1.0 / (1.0 + strength)
-        share = left if k == 0 else share / left
+        remaining = math.exp(-strength) if strength < 0.0 else 1.0 / (1.0 + strength)
+        share = remaining if k == 0 else share / remaining
     share = min(share, 3.0)
     if where == bus.COIL:
         s[0] = share

@@ -21,10 +21,10 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     """Apply the inductance along the stroke with its voltage and force; ``s[0]`` is its slope, H/m."""
     if where == bus.COIL:
         span = p[1] - p[0]
-        place = (b[bus.POSITION] - p[0]) / span
-        rise = along(p, _FIRST, KNOTS, place + _DISTANCE) - along(p, _FIRST, KNOTS, place - _DISTANCE)
+        share = (b[bus.POSITION] - p[0]) / span
+        rise = along(p, _FIRST, KNOTS, share + _DISTANCE) - along(p, _FIRST, KNOTS, share - _DISTANCE)
         s[0] = b[bus.INDUCTANCE] * rise / (2.0 * _DISTANCE * span)
-        b[bus.INDUCTANCE] *= along(p, _FIRST, KNOTS, place)
+        b[bus.INDUCTANCE] *= along(p, _FIRST, KNOTS, share)
         b[bus.OPPOSING_VOLTAGE] += s[0] * b[bus.VELOCITY] * b[bus.CURRENT]
     else:
         b[bus.FORCE] += 0.5 * p[2] * s[0] * b[bus.CURRENT] * b[bus.CURRENT]

@@ -54,9 +54,9 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         first = min(max(math.floor(low + 1e-9), n + 1 - LENGTH), final)
         total = 0.0
         for k in range(first, final + 1):
-            left = low if k == first else float(k)
-            right = high if k == final else float(k + 1)
-            total += (right - left) * s[RING + k % LENGTH]
+            lower = low if k == first else float(k)
+            upper = high if k == final else float(k + 1)
+            total += (upper - lower) * s[RING + k % LENGTH]
         if which == 0:
             end = total / (high - low)
         else:

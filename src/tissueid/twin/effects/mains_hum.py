@@ -25,7 +25,7 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
     frequency, phases, heights = values[0], values[1:PER_TEST], values[PER_TEST:].reshape(len(CHANNELS), -1)
     angle = 2.0 * np.pi * frequency * readings.time
     turned = [h * angle + phase for h, phase in zip(HARMONICS, phases, strict=True)]
-    hum = heights @ np.stack([wave(one) for one in turned for wave in (np.cos, np.sin)])
+    hum = heights @ np.stack([wave(turned_phase) for turned_phase in turned for wave in (np.cos, np.sin)])
     return replace(
         readings,
         voltage=readings.voltage + hum[0],
@@ -39,11 +39,11 @@ def estimate_from_record(signals: Mapping[str, FloatArray], sample_rate_hz: floa
 
     The sum over channels has a constant phase to each channel, whichever channels hum.
     """
-    left = [_estimates.unexplained(signals, name, sample_rate_hz) / noise for name, _, noise, _ in CHANNELS]
-    size = left[0].size
+    residuals = [_estimates.unexplained(signals, name, sample_rate_hz) / noise for name, _, noise, _ in CHANNELS]
+    size = residuals[0].size
     time = np.arange(1, size + 1) / sample_rate_hz
     points = fft.next_fast_len(PADDING * size, real=True)
-    spectra = [np.abs(fft.rfft(one, points)) ** 2 for one in left]
+    spectra = [np.abs(fft.rfft(residual, points)) ** 2 for residual in residuals]
     usable = [h for h in HARMONICS if h * BANDS_HZ[-1][1] < 0.5 * sample_rate_hz]
     candidates = np.concatenate([np.linspace(low, high, 201) for low, high in BANDS_HZ])
     bins = [np.round(h * candidates * points / sample_rate_hz).astype(np.int64) for h in usable]
@@ -53,16 +53,16 @@ def estimate_from_record(signals: Mapping[str, FloatArray], sample_rate_hz: floa
     def amplitudes(frequency: float) -> FloatArray:
         # Complex amplitudes, shape (channels, harmonics), as real and imaginary parts.
         columns = _estimates.waves(2.0 * np.pi * frequency * time, usable)
-        return np.stack([columns.T @ one for one in left]) * (2.0 / size)
+        return np.stack([columns.T @ residual for residual in residuals]) * (2.0 / size)
 
-    found = optimize.minimize_scalar(
+    optimum = optimize.minimize_scalar(
         lambda f: -float(np.sum(amplitudes(float(f)) ** 2)),
         bounds=(near - 0.15, near + 0.15),
         method="bounded",
         options={"xatol": 1e-4},
     )
-    total = amplitudes(float(found.x)).sum(axis=0)
-    start = {"frequency_hz": float(found.x)} | {f"phase_{h}_rad": 0.0 for h in HARMONICS}
+    total = amplitudes(float(optimum.x)).sum(axis=0)
+    start = {"frequency_hz": float(optimum.x)} | {f"phase_{h}_rad": 0.0 for h in HARMONICS}
     for k, h in enumerate(usable):
         start[f"phase_{h}_rad"] = float(np.arctan2(-total[2 * k + 1], total[2 * k]))
     return start

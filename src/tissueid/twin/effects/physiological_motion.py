@@ -77,13 +77,13 @@ def _shared(seen: Sequence[_Sway]) -> FloatArray:
     coarse = [sway.coarse() for sway in seen]
     breathing, pulse, tremor = (np.arange(*RATE_BOUNDS[kind], _STEP_HZ) for kind in ALL)
     rates: FloatArray = np.array(BEGINNING, np.float64)
-    pairs = [np.r_[one, other, rates[2:]] for one in breathing for other in pulse]
+    pairs = [np.r_[slow, fast, rates[2:]] for slow in breathing for fast in pulse]
     rates = max(pairs, key=lambda at: sum(sway.log_likelihood(at, SLOW) for sway in coarse))
-    beats = [np.r_[rates[0], one, rates[2:]] for one in pulse]
+    beats = [np.r_[rates[0], rate, rates[2:]] for rate in pulse]
     rates = max(beats, key=lambda at: sum(sway.log_likelihood(sway.swayed(at), SLOW) for sway in coarse))
     trembling = [sway.without(sway.swayed(rates), SLOW) for sway in coarse]
-    fast = [np.r_[rates[:2], one, rates[3:]] for one in tremor]
-    return max(fast, key=lambda at: sum(sway.log_likelihood(at, (TREMOR,)) for sway in trembling))
+    tremors = [np.r_[rates[:2], rate, rates[3:]] for rate in tremor]
+    return max(tremors, key=lambda at: sum(sway.log_likelihood(at, (TREMOR,)) for sway in trembling))
 
 
 def _refined(about: FloatArray, places: Sequence[int], log_likelihood: Callable[[FloatArray], float]) -> FloatArray:
@@ -101,7 +101,7 @@ def _refined(about: FloatArray, places: Sequence[int], log_likelihood: Callable[
         moved[chosen] = values
         return moved
 
-    found = optimize.minimize(
+    optimum = optimize.minimize(
         lambda values: -log_likelihood(at(values)),
         about[chosen],
         method="Nelder-Mead",
@@ -113,39 +113,39 @@ def _refined(about: FloatArray, places: Sequence[int], log_likelihood: Callable[
             "fatol": 1e-3,
         },
     )
-    return at(found.x)
+    return at(optimum.x)
 
 
 @dataclass(frozen=True)
 class _Sway:
     """The unexplained part of a position as means: shape (n,), m, around ``mean_m``, with their times, s."""
 
-    left: FloatArray
+    residual: FloatArray
     time: FloatArray
     mean_m: float = 0.0
 
     @classmethod
     def of(cls, signals: Mapping[str, FloatArray], sample_rate_hz: float) -> _Sway:
-        left = _estimates.unexplained(signals, "position", sample_rate_hz)
+        residual = _estimates.unexplained(signals, "position", sample_rate_hz)
         predicted = signals.get("predicted_position")
-        difference = np.zeros(1) if predicted is None else (signals["position"] - predicted)[left != 0.0]
+        difference = np.zeros(1) if predicted is None else (signals["position"] - predicted)[residual != 0.0]
         every = max(1, round(sample_rate_hz / _MEANS_HZ))
-        blocks = left[: left.size // every * every].reshape(-1, every)
-        known = (blocks != 0.0).any(axis=1)
-        time = (np.flatnonzero(known) * every + 0.5 * (every + 1)) / sample_rate_hz
+        blocks = residual[: residual.size // every * every].reshape(-1, every)
+        received = (blocks != 0.0).any(axis=1)
+        time = (np.flatnonzero(received) * every + 0.5 * (every + 1)) / sample_rate_hz
         mean = float(difference.mean()) if difference.size and np.isfinite(difference).all() else 0.0
-        return cls(blocks.mean(axis=1)[known].astype(np.float64), time.astype(np.float64), mean)
+        return cls(blocks.mean(axis=1)[received].astype(np.float64), time.astype(np.float64), mean)
 
     @property
     def enough(self) -> bool:
         """Return whether there is enough data."""
-        return self.left.size >= _FEWEST
+        return self.residual.size >= _FEWEST
 
     def coarse(self) -> _Sway:
         """Return the same data in fewer, longer means."""
-        size = self.left.size // _SLOW_BLOCKS * _SLOW_BLOCKS
-        left, time = (values[:size].reshape(-1, _SLOW_BLOCKS).mean(axis=1) for values in (self.left, self.time))
-        return replace(self, left=left, time=time)
+        size = self.residual.size // _SLOW_BLOCKS * _SLOW_BLOCKS
+        residual, time = (values[:size].reshape(-1, _SLOW_BLOCKS).mean(axis=1) for values in (self.residual, self.time))
+        return replace(self, residual=residual, time=time)
 
     def own(self, shared: FloatArray) -> FloatArray:
         """Return the rates of this test, near those of the session."""
@@ -167,29 +167,29 @@ class _Sway:
         """Return the rates, Hz, and heights, m, of breathing, pulse and tremor in the record, by parameter name."""
         values = np.zeros(_MOST.size)
         if self.enough:
-            mean = self.mean_m + float(self.without(rates, ALL).left.mean())
+            mean = self.mean_m + float(self.without(rates, ALL).residual.mean())
             values = np.append(self.fitted(rates, ALL)[1], mean)
         return dict(zip(_NAMES, [*rates.tolist(), *np.clip(values, -_MOST, _MOST).tolist()], strict=True))
 
     def fitted(self, rates: FloatArray, kinds: Sequence[int]) -> tuple[float, FloatArray]:
         """Return the squares explained by waves of some kinds, and the heights of the waves."""
         orders = np.concatenate([_ORDERS[kind] for kind in kinds])
-        return _estimates.fitted(self.left, self._columns(rates, kinds), orders)
+        return _estimates.fitted(self.residual, self._columns(rates, kinds), orders)
 
     def log_likelihood(self, rates: FloatArray, kinds: Sequence[int]) -> float:
         """Return the log likelihood of rates, nats; quiet tests have the larger weight because less else is
         unexplained."""
-        total = float(self.left @ self.left)
+        total = float(self.residual @ self.residual)
         taken = self.fitted(rates, kinds)[0]
-        return -0.5 * self.left.size * float(np.log(max(1.0 - taken / total, 1e-12))) if total > 0.0 else 0.0
+        return -0.5 * self.residual.size * float(np.log(max(1.0 - taken / total, 1e-12))) if total > 0.0 else 0.0
 
     def without(self, rates: FloatArray, kinds: Sequence[int]) -> _Sway:
         """Return the residual of waves of some kinds."""
-        return _Sway(self.left - self._columns(rates, kinds) @ self.fitted(rates, kinds)[1], self.time)
+        return _Sway(self.residual - self._columns(rates, kinds) @ self.fitted(rates, kinds)[1], self.time)
 
     def _columns(self, rates: FloatArray, kinds: Sequence[int]) -> FloatArray:
-        found: FloatArray = _waves(self.time, rates, BREATHING in kinds, PULSE in kinds, TREMOR in kinds)
-        return found
+        columns: FloatArray = _waves(self.time, rates, BREATHING in kinds, PULSE in kinds, TREMOR in kinds)
+        return columns
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -197,20 +197,20 @@ def _waves(time: FloatArray, rates: FloatArray, breathing: bool, pulse: bool, tr
     # Cosine and sine of each wave of the chosen kinds, shape (n, 2 waves), in the order of the heights. Harmonics count
     # from 1.
     slow, fast, lines = len(WAVES[0]), len(WAVES[1]), len(WAVES[2])
-    found = np.empty((time.size, 2 * (breathing * slow + pulse * fast + tremor * lines)))
+    columns = np.empty((time.size, 2 * (breathing * slow + pulse * fast + tremor * lines)))
     for k in range(time.size):
         breath = 2.0 * math.pi * rates[0] * time[k]
         column = 0
         if breathing:
-            column = _harmonics(found[k], column, breath, slow)
+            column = _harmonics(columns[k], column, breath, slow)
         if pulse:
             beat = 2.0 * math.pi * rates[1] * time[k] + rates[3] * math.cos(breath) + rates[4] * math.sin(breath)
-            column = _harmonics(found[k], column, beat, fast)
+            column = _harmonics(columns[k], column, beat, fast)
         if tremor:
             for line in range(1, lines + 1):
                 hertz = rates[2] + rates[5] * (line - MIDDLE_LINE)
-                column = _harmonics(found[k], column, 2.0 * math.pi * hertz * time[k], 1)
-    return found
+                column = _harmonics(columns[k], column, 2.0 * math.pi * hertz * time[k], 1)
+    return columns
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -38,35 +38,35 @@ def irreducible(values: FloatArray) -> Mapping[str, float]:
     """Return the standard deviation of rounding around the expected reading, m; at most a step over the root of 12."""
     step, _, _, blur = values
     order = np.arange(1, 2000)
-    known = 0.5 * float(np.sum((np.exp(-2.0 * (np.pi * order * blur) ** 2) / (np.pi * order)) ** 2))
-    return {"position": step * math.sqrt(max(1.0 / 12.0 - known, 0.0))}
+    predictable = 0.5 * float(np.sum((np.exp(-2.0 * (np.pi * order * blur) ** 2) / (np.pi * order)) ** 2))
+    return {"position": step * math.sqrt(max(1.0 / 12.0 - predictable, 0.0))}
 
 
 def grid(values: FloatArray) -> tuple[float, float] | None:
     """Return step and origin of the grid of recorded values; None without a grid or where finer than ``COARSE_M``."""
-    known = np.unique(values[np.isfinite(values)])
-    gaps = np.diff(known)
+    levels = np.unique(values[np.isfinite(values)])
+    gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-7]
     if gaps.size < 3:
         return None
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
-    base = float(known[known.size // 2])
+    base = float(levels[levels.size // 2])
     # Values many steps apart determine the step more precisely; each round starts from the previous one.
     for reach in (8.0, 64.0, 512.0, math.inf):
-        off = known[np.abs(known - base) <= reach * step] - base
+        off = levels[np.abs(levels - base) <= reach * step] - base
         counts = np.round(off / step)
         if counts.any():
             step = float(counts @ off / (counts @ counts))
-    left = (known - base) / step - np.round((known - base) / step)
-    if step < COARSE_M or float(np.abs(left).max()) > 0.1:
+    remainders = (levels - base) / step - np.round((levels - base) / step)
+    if step < COARSE_M or float(np.abs(remainders).max()) > 0.1:
         return None
-    return step, base + step * float(np.mean(left))
+    return step, base + step * float(np.mean(remainders))
 
 
 def estimate_from_record(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
     """Return step and origin from the occurring values; a negligible step where there is no grid."""
-    found = grid(signals["position"])
-    step, origin = found if found is not None else (COARSE_M / 4.0, 0.0)
+    fitted = grid(signals["position"])
+    step, origin = fitted if fitted is not None else (COARSE_M / 4.0, 0.0)
     return {"step_m": step, "origin_m": origin - step * round(origin / step)}
 
 

@@ -43,14 +43,14 @@ def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
     positions: list[FloatArray] = []
     errors: list[FloatArray] = []
     for signals in tests:
-        left = _estimates.unexplained(signals, "position", sample_rate_hz)
-        known = np.isfinite(signals["position"]) & (left != 0.0)
-        positions.append(signals["position"][known][::4] - MIDDLE_M)
-        errors.append(left[known][::4])
-    place, error = np.concatenate(positions), np.concatenate(errors)
-    if place.size < FEWEST_READINGS:
+        residual = _estimates.unexplained(signals, "position", sample_rate_hz)
+        valid = np.isfinite(signals["position"]) & (residual != 0.0)
+        positions.append(signals["position"][valid][::4] - MIDDLE_M)
+        errors.append(residual[valid][::4])
+    position, error = np.concatenate(positions), np.concatenate(errors)
+    if position.size < FEWEST_READINGS:
         return (bowed,)
-    waves_per_m, (cosine, sine) = _estimates.line(error, place, (1,), 1.0 / LONGEST_M, 1.0 / SHORTEST_M)
+    waves_per_m, (cosine, sine) = _estimates.line(error, position, (1,), 1.0 / LONGEST_M, 1.0 / SHORTEST_M)
     return (bowed, (*ends, *_FLAT, float(cosine), float(sine), 0.0, 0.0, 1.0 / waves_per_m))
 
 

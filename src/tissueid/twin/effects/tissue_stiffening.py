@@ -35,14 +35,14 @@ def starts_within_depths(
     """Return starting points with the onset within the depths of the deepest test."""
     depths = []
     for test in tests:
-        known = test["position"][np.isfinite(test["position"])] if "position" in test else np.zeros(0)
-        if known.size > 1 and np.ptp(test.get("command", known)) > 0.0:
-            depths.append(known - known[0])
+        positions = test["position"][np.isfinite(test["position"])] if "position" in test else np.zeros(0)
+        if positions.size > 1 and np.ptp(test.get("command", positions)) > 0.0:
+            depths.append(positions - positions[0])
     if not depths:
         return ()
     deepest = max(depths, key=lambda depth: float(np.median(depth)))
     places = [min(max(float(depth), 2e-4), 0.011) for depth in np.quantile(deepest, SHARES)]
-    return tuple((0.2, place, 1.2, CORNER_M) for place in dict.fromkeys(places))
+    return tuple((0.2, onset, 1.2, CORNER_M) for onset in dict.fromkeys(places))
 
 
 EFFECT = Effect(
