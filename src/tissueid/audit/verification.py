@@ -225,16 +225,16 @@ class _Walk:
         self.missing: list[tuple[int, int | None, str]] = []
         """Place of each line that reports missing lines, with number and hash of the newest missing line."""
         self._path = path
-        self._place = 0
+        self._position = 0
         self._torn = b""
         """Unfinished pieces that a later line must account for."""
 
     def broken(self) -> Broken | None:
         """Return the first damage; None without any."""
         for raw in _raw_lines(self._path):
-            if self._place % _CANCEL_LINES == 0:
+            if self._position % _CANCEL_LINES == 0:
                 self._cancelled()
-            self._place += 1
+            self._position += 1
             if (problem := self._check_line(raw)) is not None:
                 return problem
         if self._torn:
@@ -243,7 +243,7 @@ class _Walk:
                     "audit.last_unfinished",
                     "line {line}, the last, was not finished when the computer or the program stopped; the next line "
                     "will record it",
-                    line=self._place,
+                    line=self._position,
                 )
             )
         return None
@@ -272,7 +272,7 @@ class _Walk:
                     count=len(self._torn),
                     line=number,
                 )
-                return Broken(self._place - 1, LogDamage.INSERTED, message)
+                return Broken(self._position - 1, LogDamage.INSERTED, message)
             self.remarks.append(
                 Message(
                     "audit.closed_off", "before line {line} a line was left unfinished, and closed off", line=number
@@ -300,14 +300,14 @@ class _Walk:
                 )
             )
         if line.what == LINES_MISSING and isinstance(line.old, str) and (head := _HEAD.fullmatch(line.old)):
-            self.missing.append((self._place, int(head[1]) if head[1] else None, head[2]))
+            self.missing.append((self._position, int(head[1]) if head[1] else None, head[2]))
         self.last = line
         self.hashes.add(line.hash)
         return None
 
     def _damage(self, raw: bytes, number: int, line: LogLine | None) -> Broken:
         """Return the damage where ``raw`` stands in place of line ``number``; ``line`` is None if its hash is wrong."""
-        position = self._place
+        position = self._position
         later = {item.number: item for item in self._after(position)}
         if line is None:
             return self._without_hash(raw, number, later)
@@ -349,7 +349,7 @@ class _Walk:
 
     def _without_hash(self, raw: bytes, number: int, later: dict[int, LogLine]) -> Broken:
         """Return the damage where the bytes in place of line ``number`` do not have a correct hash."""
-        position = self._place
+        position = self._position
         following = later.get(number)
         before = NOTHING_BEFORE if self.last is None else self.last.hash
         if following is not None and following.previous == before:

@@ -39,12 +39,12 @@ NO_REGION = Message("calibration.no_region", "the linear region is not known: ru
 
 @dataclass(frozen=True)
 class UsedCalibration:
-    """Usable calibration; ``words`` is the reason why it is stale."""
+    """Usable calibration; ``reason`` says why it is stale."""
 
     file: str
     calibration: Calibration
     state: State
-    words: str
+    reason: str
 
     @property
     def made(self) -> datetime:
@@ -96,7 +96,7 @@ def merge_calibrations(
     for item in used:
         if item.state == "stale":
             merged["state"] = "stale"
-            warnings.append(file_warning(item.file, item.words))
+            warnings.append(file_warning(item.file, item.reason))
     for name, item in sources.items():
         figure = item.calibration.quantities[name]
         merged[name] = figure.value
@@ -179,7 +179,7 @@ def _completion_warnings(base: UsedCalibration, sources: Mapping[str, UsedCalibr
                     Message(
                         "calibration.completed_by_stale",
                         "{file} is not complete. Taken from {other}: {names}. Note that {reason}",
-                        reason=item.words,
+                        reason=item.reason,
                         **values,
                     )
                 )

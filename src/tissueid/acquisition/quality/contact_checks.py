@@ -69,11 +69,11 @@ def check_contact(prepared: PreparedTest) -> Iterator[QualityFinding]:
         return
     if is_attached(test.notes):
         return
-    gone = prepared.known & (prepared.contact_force < LOST_FORCE_N)
+    gone = prepared.valid & (prepared.contact_force < LOST_FORCE_N)
     if test.kind == "spring" and gone.any() and float(prepared.contact_force[gone].mean()) < -LOST_FORCE_N:
         return  # the spring is fixed to the probe, and can pull as well as push
     certain = longest_run(gone) >= max(1, round(LOST_S * prepared.rate))
-    share = float(gone.sum() / prepared.known.sum()) if certain else 0.0
+    share = float(gone.sum() / prepared.valid.sum()) if certain else 0.0
     above = 0.0
     if np.isfinite(test.surface_position_m):
         position = prepared.stimulus("position")
@@ -126,7 +126,7 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
     if count < _MIN_BLOCKS:
         return None
     part = slice(prepared.first, prepared.first + count * length)
-    whole = prepared.known[part].reshape(count, length).mean(axis=1) > 0.5
+    whole = prepared.valid[part].reshape(count, length).mean(axis=1) > 0.5
     if whole.sum() < _MIN_BLOCKS:
         return None
     force = prepared.force[part]

@@ -208,7 +208,7 @@ class PreparedTest:
     @property
     def mechanical(self) -> bool:
         """Whether there are enough samples with force and position."""
-        return int(self.known.sum()) >= _MIN_SAMPLES
+        return int(self.valid.sum()) >= _MIN_SAMPLES
 
     def signal(self, name: str) -> Array | None:
         """Return a signal, NaN for samples not received; None if the test has no sample of it."""
@@ -232,7 +232,7 @@ class PreparedTest:
         return np.asarray(np.isfinite(force) & np.isfinite(position))
 
     @cached_property
-    def known(self) -> Mask:
+    def valid(self) -> Mask:
         """Mask of the stimulus samples with valid filtered signals: more than 10 ms from gaps and ends."""
         edge = round(_EDGE_S * self.rate)
         lost = np.concatenate([[0], np.cumsum(~self.received)])

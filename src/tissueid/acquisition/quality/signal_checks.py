@@ -100,7 +100,7 @@ def mean_coherence(prepared: PreparedTest) -> float | None:
     """Return the coherence of force and position over the driven band, weighted by the power of the position."""
     length = round(_SEGMENT_S * prepared.rate)
     part = slice(prepared.first, None)
-    if prepared.test.samples - prepared.first < 4 * length or prepared.known[part].mean() < 0.8:
+    if prepared.test.samples - prepared.first < 4 * length or prepared.valid[part].mean() < 0.8:
         return None
     force, position = prepared.force[part], prepared.position[part]
     frequency, power = signal.welch(force, prepared.rate, nperseg=length)
@@ -122,7 +122,7 @@ def check_mains(prepared: PreparedTest) -> Iterator[QualityFinding]:
     if not prepared.received[part].all() or test.samples - prepared.first < 2.0 * prepared.rate:
         return
     balance = unbalanced_force(prepared)
-    spread = float(np.std(prepared.force[prepared.known]))
+    spread = float(np.std(prepared.force[prepared.valid]))
     lines = [mains_line(balance, prepared.rate, hertz) for hertz in MAINS_HZ]
     amplitude, hertz = max(lines, key=lambda line: line[0])
     share = amplitude / spread if spread > 0.0 else 0.0
@@ -150,7 +150,7 @@ def unbalanced_force(prepared: PreparedTest) -> Array:
 
     Removing the stochastic part exposes a line that does not move the probe.
     """
-    valid = prepared.known
+    valid = prepared.valid
     depth = prepared.position - float(np.mean(prepared.position[valid]))
     depth = depth / (float(np.std(depth[valid])) or 1.0)
     velocity = prepared.velocity / (float(np.std(prepared.velocity[valid])) or 1.0)
@@ -230,7 +230,7 @@ def quick_fit(prepared: PreparedTest) -> QuickFit | None:
     """Fit force = M a + B v + K x + constant to the filtered signals; return None if the fit is not determined."""
     if not prepared.mechanical:
         return None
-    valid = prepared.known
+    valid = prepared.valid
     columns = np.column_stack(
         [prepared.acceleration[valid], prepared.velocity[valid], prepared.position[valid], np.ones(valid.sum())]
     )
