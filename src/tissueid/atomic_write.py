@@ -195,12 +195,12 @@ def _remove_unlocked(partial: Path) -> None:
     except OSError:
         return
     with contextlib.suppress(OSError):
-        found = os.fstat(descriptor)
-        owned = found.st_uid == os.geteuid() and os.path.samestat(found, partial.lstat())
+        info = os.fstat(descriptor)
+        owned = info.st_uid == os.geteuid() and os.path.samestat(info, partial.lstat())
         if owned and _lock(descriptor, exclusive=True):
-            if stat.S_ISREG(found.st_mode):
+            if stat.S_ISREG(info.st_mode):
                 partial.unlink()
-            elif stat.S_ISDIR(found.st_mode):
+            elif stat.S_ISDIR(info.st_mode):
                 shutil.rmtree(partial, ignore_errors=True)
     os.close(descriptor)
 

@@ -66,16 +66,16 @@ class DeviceDescription:
     @property
     def calibration_warnings(self) -> tuple[str, ...]:
         """Warnings about the calibration in force; messages where the calibration keeps them as such."""
-        known: dict[str, Message] = {}
+        messages: dict[str, Message] = {}
         try:
             stored = json_value(str(self.calibration.get("warning_messages", "[]")))
         except ValueError:
             stored = []
         for item in stored[:_MOST_WARNINGS] if isinstance(stored, list) else ():
             if isinstance(message := message_from(item), Message):
-                known[_separable(message)] = message
+                messages[_separable(message)] = message
         texts = str(self.calibration.get("warnings") or "").split(_BETWEEN)
-        return tuple(known.get(text, text) for text in texts if text)
+        return tuple(messages.get(text, text) for text in texts if text)
 
     def voltage_for_force(self, force_n: float) -> float:
         """Return the voltage for a steady coil force without motion: V = F R / (force constant * gain)."""

@@ -64,8 +64,8 @@ class LinkLostError(InstrumentError):
     ``watchdog_s`` is the timeout of that watchdog in seconds; None where the instrument did not report it.
     """
 
-    def __init__(self, words: str, watchdog_s: float | None = None) -> None:
-        super().__init__(words)
+    def __init__(self, message: str, watchdog_s: float | None = None) -> None:
+        super().__init__(message)
         self.watchdog_s = watchdog_s
 
 
@@ -75,8 +75,8 @@ class FirmwareFaultError(InstrumentError):
     ``faults`` holds the bits of ``tissueid.wire.Fault``; 0 where the instrument did not report which faults.
     """
 
-    def __init__(self, words: str, faults: int = 0) -> None:
-        super().__init__(words)
+    def __init__(self, message: str, faults: int = 0) -> None:
+        super().__init__(message)
         self.faults = faults
 
 

@@ -133,15 +133,15 @@ def grouped(value: float | None) -> str:
     return signed(f"{round(value):,}".replace(",", "\u202f"))
 
 
-def estimate(found: Estimate, scale: float = 1.0) -> tuple[str, str, str]:
+def estimate(quantity: Estimate, scale: float = 1.0) -> tuple[str, str, str]:
     """Return a value, its deviation and their common power of ten: "4740", "160", "" or "1.837", "0.017", "10⁻⁵".
 
     The deviation has two digits and the value as many decimals. The deviation is "" where there is none.
     """
-    if not math.isfinite(found.value):
+    if not math.isfinite(quantity.value):
         return MISSING, "", ""
-    value = found.value * scale
-    std = 0.0 if found.std is None else abs(found.std * scale)
+    value = quantity.value * scale
+    std = 0.0 if quantity.std is None else abs(quantity.std * scale)
     if not math.isfinite(std) or std <= _ARITHMETIC * abs(value):
         return number(value), "", ""
     exponent = math.floor(math.log10(max(abs(value), std)))
@@ -151,9 +151,9 @@ def estimate(found: Estimate, scale: float = 1.0) -> tuple[str, str, str]:
     return shown[0], shown[1], f"10{superscript(power)}" if power else ""
 
 
-def plus_minus(found: Estimate, scale: float = 1.0) -> str:
+def plus_minus(quantity: Estimate, scale: float = 1.0) -> str:
     """Return value ± standard deviation, or the value alone."""
-    value, std, power = estimate(found, scale)
+    value, std, power = estimate(quantity, scale)
     if not std:
         return value
     return f"({value} ± {std}) × {power}" if power else f"{value} ± {std}"
@@ -171,10 +171,10 @@ def figure_text(figure: Figure, value: float | None) -> str:
     return fixed(None if value is None else value * unit.factor, unit.decimals)
 
 
-def value_and_rest(found: Estimate, si_unit: str) -> tuple[str, str]:
+def value_and_rest(quantity: Estimate, si_unit: str) -> tuple[str, str]:
     """Return the value of an SI figure as text, and its deviation, common power of ten and unit as another text."""
     unit, scale = shown_si(si_unit)
-    value, deviation, power = estimate(found, scale)
+    value, deviation, power = estimate(quantity, scale)
     return value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))
 
 

@@ -57,9 +57,9 @@ def _(text: str) -> str:
     return _said(_Active.catalogue.gettext(text)) if text else ""
 
 
-def plural(one: str, many: str, count: int) -> str:
+def plural(singular: str, many: str, count: int) -> str:
     """Return the form of a text for ``count`` things in the active language."""
-    return _said(_Active.catalogue.ngettext(one, many, count))
+    return _said(_Active.catalogue.ngettext(singular, many, count))
 
 
 def _said(text: str) -> str:
@@ -90,11 +90,11 @@ _NAME = marked("name of this language")
 @functools.cache
 def languages() -> dict[str, str]:
     """Return the languages that can be chosen: code and own name, English first. Damaged catalogues are left out."""
-    found = {ENGLISH: "English"}
+    names = {ENGLISH: "English"}
     for code in sorted(path.parents[1].name for path in FOLDER.glob(f"*/LC_MESSAGES/{DOMAIN}.mo")):
         with contextlib.suppress(Exception):  # gettext raises OSError, ValueError, struct.error, IndexError and others
-            found[code] = read_catalogue(code).gettext(_NAME)
-    return found
+            names[code] = read_catalogue(code).gettext(_NAME)
+    return names
 
 
 @functools.cache

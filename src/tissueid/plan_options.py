@@ -25,12 +25,12 @@ from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim, joined
 
 
-def option_error(what: str, known: Iterable[str], error: ValidationError) -> Message:
+def option_error(what: str, names: Iterable[str], error: ValidationError) -> Message:
     """Return a message about the first refused option.
 
     Args:
         what: the thing that has the options, such as "stimulus noise".
-        known: names of all its options.
+        names: names of all its options.
         error: raised by its model.
     """
     first = error.errors()[0]
@@ -41,7 +41,7 @@ def option_error(what: str, known: Iterable[str], error: ValidationError) -> Mes
             "{what} has no option '{option}': it has {known}",
             what=what,
             option=Verbatim(option),
-            known=joined(map(Verbatim, sorted(known))),
+            known=joined(map(Verbatim, sorted(names))),
         )
     if first["type"] == "tuple_type":
         return Message(
@@ -135,9 +135,9 @@ class Plan(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             whole = not error.errors()[0]["loc"]
-            known = type(self).model_fields
+            fields = type(self).model_fields
             raise UnusableInputError(
-                validation_reason(error) if whole else option_error("the plan", known, error)
+                validation_reason(error) if whole else option_error("the plan", fields, error)
             ) from error
 
 
@@ -183,19 +183,19 @@ def bounds_of(field: FieldInfo) -> Bounds:
 
 def shell_options(plan: Plan) -> str:
     """Return the options of the command line that give a plan its values, without those of defaults and arguments."""
-    words: list[str] = []
+    arguments: list[str] = []
     for name, field in type(plan).model_fields.items():
         option, value = option_of(field), getattr(plan, name)
         if option is None or option.argument or value == field.get_default(call_default_factory=True):
             continue
         flag = option.name or f"--{name.replace('_', '-')}"
         if isinstance(value, bool):
-            words.append(flag if value else flag.replace("--", "--no-", 1))
+            arguments.append(flag if value else flag.replace("--", "--no-", 1))
             continue
         texts = [_shell_text(item, option) for item in (value if isinstance(value, tuple) else (value,))]
         for text in [option.separator.join(texts)] if option.separator else texts:
-            words += [flag, text]
-    return shlex.join(words)
+            arguments += [flag, text]
+    return shlex.join(arguments)
 
 
 def _shell_text(value: Any, option: Option) -> str:

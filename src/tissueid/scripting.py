@@ -219,7 +219,7 @@ def compare(
     chosen = specifications(engines, own=options)
     records = _records_of(data)
     if records is None:
-        return compare_engines(_session_of(data), chosen, Control(), test=test, validate=validate).found
+        return compare_engines(_session_of(data), chosen, Control(), test=test, validate=validate).comparison
     return compare_split(chosen, _split_of(records))
 
 
@@ -317,9 +317,9 @@ def diagnose(
     from tissueid.gap import executor, prepare
     from tissueid.gap.twin_export import against_twin
 
-    dataset, known = against_twin(prepare(_session_of(session), tuple(fit), tuple(check)), None)
+    dataset, effects = against_twin(prepare(_session_of(session), tuple(fit), tuple(check)), None)
     with executor(workers) as pool:
-        return diagnose_dataset(dataset, pool, accepted=known)
+        return diagnose_dataset(dataset, pool, accepted=effects)
 
 
 def write_report(

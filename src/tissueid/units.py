@@ -252,7 +252,7 @@ def in_force() -> System:
 
 def use(system: object) -> None:
     """Activate a unit system; an unknown name means clinical units."""
-    _Active.system = next((known for known in SYSTEMS if known == system), "clinical")
+    _Active.system = next((name for name in SYSTEMS if name == system), "clinical")
 
 
 def unit_of(figure: Figure) -> FigureUnit:
@@ -264,7 +264,7 @@ def shown(unit: str) -> tuple[str, float]:
     """Return the symbol of ``unit`` ("mm/(N·s)") in the active system and the factor that converts to it."""
     if _Active.system == "clinical":
         return unit, 1.0
-    below = min((place for place in (unit.find("/"), unit.find(" per ")) if place >= 0), default=len(unit))
+    below = min((index for index in (unit.find("/"), unit.find(" per ")) if index >= 0), default=len(unit))
     factor = 1.0
     for part in _PART.finditer(unit):
         power = _POWERS[part.group(2)]
@@ -282,8 +282,8 @@ def shown_si(si_unit: str) -> tuple[str, float]:
 
 def shown_label(label: str) -> tuple[str, float]:
     """Return a label with its unit in brackets, "Depth (mm)", in the active system, and the factor of that unit."""
-    found = _BRACKET.search(label)
-    if found is None:
+    match = _BRACKET.search(label)
+    if match is None:
         return label, 1.0
-    unit, factor = shown(found.group(1))
-    return f"{label[: found.start(1)]}{unit}{label[found.end(1) :]}", factor
+    unit, factor = shown(match.group(1))
+    return f"{label[: match.start(1)]}{unit}{label[match.end(1) :]}", factor

@@ -15,13 +15,13 @@ from tissueid.cli.commands import loaded_app
 
 @pytest.fixture(scope="module")
 def words() -> set[tuple[str, ...]]:
-    return {command.words for command in all_commands()}
+    return {command.path for command in all_commands()}
 
 
 def test_all_commands_are_read(words: set[tuple[str, ...]]):
     assert {name for (name, *_) in filter(None, words)} == set(get_command(loaded_app()).commands)
     assert {(), ("gap", "diagnose"), ("study", "report"), ("completion",)} <= words
-    (test,) = [command for command in all_commands() if command.words == ("test",)]
+    (test,) = [command for command in all_commands() if command.path == ("test",)]
     (method,) = [option for option in test.options if option.names == ("--live-method",)]
     assert method.choices == ("sliding", "rls", "als")
     assert all(option.help for command in all_commands() for option in command.options)

@@ -66,7 +66,7 @@ def put(folder, values):
 def test_steps_go_by_condition_then_site_then_repeat():
     steps = sitting_steps(two_products(), "P01")
     assert order(two_products(), "P01") == [(product, site) for product in ("", "lotion") for site in "abc"]
-    assert [(step.place, step.total) for step in steps] == [(place, 12) for place in range(1, 13)]
+    assert [(step.position, step.total) for step in steps] == [(place, 12) for place in range(1, 13)]
     assert [step.repeat for step in steps[:4]] == [1, 2, 1, 2]
 
 
@@ -89,7 +89,7 @@ def test_the_next_step_follows_what_was_recorded():
     protocol = two_products()
     assert next_step(protocol, "P", []) == sitting_steps(protocol, "P")[0]
     step = next_step(protocol, "P", [recorded("a"), recorded("a"), recorded("b")])
-    assert (step.site, step.repeat, step.place, step.attempt) == ("b", 2, 4, 1)
+    assert (step.site, step.repeat, step.position, step.attempt) == ("b", 2, 4, 1)
     assert finished_sites(protocol, "P", step) == {"a"}
     assert finished_sites(protocol, "P", sitting_steps(protocol, "P")[6]) == set()  # the lotion begins
     everything = [recorded(one.site, one.condition) for one in sitting_steps(protocol, "P")]
@@ -99,7 +99,7 @@ def test_the_next_step_follows_what_was_recorded():
 
 def test_sites_measured_out_of_order_are_not_asked_again():
     step = next_step(two_products(), "P", [recorded("c"), recorded("c"), recorded("a")])
-    assert (step.site, step.repeat, step.place) == ("a", 2, 2)
+    assert (step.site, step.repeat, step.position) == ("a", 2, 2)
     step = next_step(two_products(), "P", [recorded(site) for site in "ccaabb"])
     assert step.condition == LOTION
 
@@ -122,7 +122,7 @@ def test_minutes_need_not_be_those_of_the_protocol():
     protocol = two_products(sites=["a"], repeats=1, conditions=[{}, LOTION.model_dump(), late.model_dump()])
     tests = [recorded("a"), recorded("a", Condition(product="lotion", minutes_since_application=63.5))]
     assert next_step(protocol, "P", tests).condition == late
-    assert next_step(protocol, "P", [recorded("a", Condition(product="oil"))]).place == 1
+    assert next_step(protocol, "P", [recorded("a", Condition(product="oil"))]).position == 1
 
 
 # -- files --------------------------------------------------------------------------------------------------------
@@ -351,7 +351,7 @@ def test_a_sitting_that_was_interrupted_continues(tmp_path):
     assert [notice.code for notice in control.notices if notice.code == "sitting.demographics"]
     assert read_demographics(folder)["P01"]["age_years"] == "30"
     stopped = open_sitting(folder, "P01")
-    assert stopped.step.place == 3
+    assert stopped.step.position == 3
     (stopped.sessions / "damaged.h5").write_bytes(b"rubbish")
     control = Until(99)
     state = run_sitting(sitting(folder), control, None)

@@ -70,7 +70,7 @@ def survey(
     """
     asked = survey_instruments(finder, opener, calibrate)
     calibrations = {url: calibration_state(device) for url, device in asked.devices.items()}
-    return Survey(asked.found, calibrations, dict(asked.forces_n))
+    return Survey(asked.instruments, calibrations, dict(asked.forces_n))
 
 
 class DeviceSearch(QObject):

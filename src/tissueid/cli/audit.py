@@ -27,8 +27,8 @@ def print_verification(plan: VerifyLogPlan, out: Output) -> None:
     if not result.lines:
         out.print(f"{path} contains no complete line: nothing has been logged yet", soft_wrap=True)
         return
-    known = f"; all {verified.heads} heads are in it" if verified.heads else ""
-    out.print(f"{path}: {result.lines} lines, none altered{known}", soft_wrap=True)
+    heads = f"; all {verified.heads} heads are in it" if verified.heads else ""
+    out.print(f"{path}: {result.lines} lines, none altered{heads}", soft_wrap=True)
     out.print(f"head: {result.head}", soft_wrap=True)
 
 
@@ -48,7 +48,7 @@ def print_lines(plan: LogPlan, out: Output) -> None:
         for line in lines
     )
     columns = ("line", "time", "role", "who", "what", "subject", "old", "new")
-    out.print(table(str(path), *columns, rows=(map(_printable, row) for row in shown), left=True))
+    out.print(table(str(path), *columns, rows=(map(_printable, row) for row in shown), left_aligned=True))
 
 
 def _answer(verified: VerifiedLog) -> dict[str, Any]:

@@ -218,11 +218,15 @@ def print_calibrations(plan: CalibrationListPlan, out: Output) -> None:
     """
     folder, listed = listed_calibrations(plan)
     out.widen(120)
-    rows = table(f"Calibrations in {folder}", "file", "serial number", "kind", "date", "status", left=True)
+    rows = table(f"Calibrations in {folder}", "file", "serial number", "kind", "date", "status", left_aligned=True)
     for item in listed:
-        found, words = item.calibration, item.status.words
-        cells = ("", "", "") if found is None else (found.serial_number, found.kind, found.date[:10])
-        rows.add_row(item.path.name, *cells, f"{words}; the newest that passed" if item.newest else words)
+        calibration, status = item.calibration, item.status.words
+        cells = (
+            ("", "", "")
+            if calibration is None
+            else (calibration.serial_number, calibration.kind, calibration.date[:10])
+        )
+        rows.add_row(item.path.name, *cells, f"{status}; the newest that passed" if item.newest else status)
     if folder is None:
         out.print(
             "there are no calibrations yet: run 'tissueid calibrate static', or choose another folder by "

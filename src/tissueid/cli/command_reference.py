@@ -33,9 +33,9 @@ class OptionText:
 
 @dataclass(frozen=True)
 class CommandText:
-    """One command: the words after ``tissueid``, its help in paragraphs, its arguments and options, its subcommands."""
+    """One command: the names after ``tissueid``, its help in paragraphs, its arguments and options, its subcommands."""
 
-    words: tuple[str, ...]
+    path: tuple[str, ...]
     help: str
     arguments: tuple[OptionText, ...]
     options: tuple[OptionText, ...]
@@ -45,7 +45,7 @@ class CommandText:
     def usage(self) -> str:
         """The line that shows how the command is called."""
         tail = ["COMMAND"] if self.subcommands else [item.written for item in self.arguments]
-        return " ".join(["tissueid", *self.words, *(["[OPTIONS]"] if self.options else []), *tail])
+        return " ".join(["tissueid", *self.path, *(["[OPTIONS]"] if self.options else []), *tail])
 
 
 @cache
@@ -55,11 +55,11 @@ def all_commands() -> tuple[CommandText, ...]:
     return tuple(_commands(group, (), typer.Context(group, info_name="tissueid")))
 
 
-def _commands(command: Any, words: tuple[str, ...], context: Any) -> Iterator[CommandText]:
+def _commands(command: Any, path: tuple[str, ...], context: Any) -> Iterator[CommandText]:
     subcommands: dict[str, Any] = getattr(command, "commands", {})
     parameters = [item for item in command.get_params(context) if not item.hidden]
     yield CommandText(
-        words,
+        path,
         "\n\n".join(" ".join(part.split()) for part in (command.help or "").split("\n\n")),
         tuple(_option(item, context) for item in parameters if not item.opts[0].startswith("-")),
         tuple(_option(item, context) for item in parameters if item.opts[0].startswith("-")),
@@ -67,7 +67,7 @@ def _commands(command: Any, words: tuple[str, ...], context: Any) -> Iterator[Co
     )
     for name, subcommand in subcommands.items():
         inside = typer.Context(subcommand, info_name=name, parent=context)
-        yield from _commands(subcommand, (*words, name), inside)
+        yield from _commands(subcommand, (*path, name), inside)
 
 
 def _option(parameter: Any, context: Any) -> OptionText:
@@ -98,7 +98,7 @@ def print_completion(
 
 def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
     """Return the completion script of a shell for all commands."""
-    commands = {command.words: command for command in all_commands()}
+    commands = {command.path: command for command in all_commands()}
     return {"bash": _bash, "zsh": _zsh, "fish": _fish}[shell](commands)
 
 
@@ -111,19 +111,19 @@ def _bash(commands: dict[tuple[str, ...], CommandText]) -> str:
         '    for item in "${COMP_WORDS[@]:1:COMP_CWORD-1}"; do',
         '        case "$command $item" in',
     ]
-    for words in filter(None, commands):
-        command = shlex.quote(_joined(words))
+    for path in filter(None, commands):
+        command = shlex.quote(_joined(path))
         lines.append(f"            {command}) command={command} ;;")
     lines += ["        esac", "    done", '    case "$command" in']
-    for words, found in commands.items():
-        names = [*found.subcommands, *(choice for item in found.arguments for choice in item.choices)]
-        options = [name for option in found.options for name in option.names]
+    for path, text in commands.items():
+        names = [*text.subcommands, *(choice for item in text.arguments for choice in item.choices)]
+        options = [name for option in text.options for name in option.names]
         quoted = f"words={shlex.quote(' '.join(names))} options={shlex.quote(' '.join(options))}"
-        lines.append(f"        {shlex.quote(_joined(words))}) {quoted} files={'' if names else 1} ;;")
+        lines.append(f"        {shlex.quote(_joined(path))}) {quoted} files={'' if names else 1} ;;")
     lines += ["    esac", '    case "$command $before" in']
-    for words, found in commands.items():
-        for option in (item for item in found.options if item.takes_value):
-            patterns = "|".join(shlex.quote(f"{_joined(words)} {name}") for name in option.names)
+    for path, text in commands.items():
+        for option in (item for item in text.options if item.takes_value):
+            patterns = "|".join(shlex.quote(f"{_joined(path)} {name}") for name in option.names)
             files = "" if option.choices else "files=1 "
             lines.append(f"        {patterns}) words= {files}values={shlex.quote(' '.join(option.choices))} ;;")
     return "\n".join([*lines, _BASH_END])
@@ -144,8 +144,8 @@ complete -o filenames -F _tissueid tissueid
 """
 
 
-def _joined(words: tuple[str, ...]) -> str:
-    return "".join(f" {word}" for word in words)
+def _joined(path: tuple[str, ...]) -> str:
+    return "".join(f" {word}" for word in path)
 
 
 def _zsh(commands: dict[tuple[str, ...], CommandText]) -> str:
@@ -153,8 +153,8 @@ def _zsh(commands: dict[tuple[str, ...], CommandText]) -> str:
         "#compdef tissueid",
         "# Completion of tissueid for zsh: tissueid completion zsh > a folder of $fpath/_tissueid",
     ]
-    for words, command in commands.items():
-        lines += [f"{_function(words)}() {{", "    local context state state_descr line", "    typeset -A opt_args"]
+    for path, command in commands.items():
+        lines += [f"{_function(path)}() {{", "    local context state state_descr line", "    typeset -A opt_args"]
         parts = [_zsh_option(name, option) for option in command.options for name in option.names]
         if command.subcommands:
             parts += ["'1: :->command'", "'*::argument:->arguments'"]
@@ -164,13 +164,13 @@ def _zsh(commands: dict[tuple[str, ...], CommandText]) -> str:
         lines.append("    _arguments -C " + " ".join(parts))
         if command.subcommands:
             described = " ".join(
-                shlex.quote(f"{name}:{_first(commands[(*words, name)].help)}") for name in command.subcommands
+                shlex.quote(f"{name}:{_first(commands[(*path, name)].help)}") for name in command.subcommands
             )
             lines += [
                 "    case $state in",
                 f"        command) local -a names=({described}); _describe command names ;;",
                 "        arguments) case $line[1] in",
-                *(f"            {name}) {_function((*words, name))} ;;" for name in command.subcommands),
+                *(f"            {name}) {_function((*path, name))} ;;" for name in command.subcommands),
                 "        esac ;;",
                 "    esac",
             ]
@@ -178,8 +178,8 @@ def _zsh(commands: dict[tuple[str, ...], CommandText]) -> str:
     return "\n".join([*lines, '_tissueid "$@"']) + "\n"
 
 
-def _function(words: tuple[str, ...]) -> str:
-    return "_".join(("_tissueid", *(word.replace("-", "_") for word in words)))
+def _function(path: tuple[str, ...]) -> str:
+    return "_".join(("_tissueid", *(word.replace("-", "_") for word in path)))
 
 
 def _zsh_option(name: str, option: OptionText) -> str:
@@ -194,12 +194,12 @@ def _zsh_option(name: str, option: OptionText) -> str:
 
 def _fish(commands: dict[tuple[str, ...], CommandText]) -> str:
     lines = ["# tissueid completion fish > ~/.config/fish/completions/tissueid.fish"]
-    for words, command in commands.items():
-        given = "; and ".join(f"__fish_seen_subcommand_from {word}" for word in words) or "true"
+    for path, command in commands.items():
+        given = "; and ".join(f"__fish_seen_subcommand_from {word}" for word in path) or "true"
         if command.subcommands:
             inside = f"{given}; and not __fish_seen_subcommand_from {' '.join(command.subcommands)}"
             for name in command.subcommands:
-                about = _first(commands[(*words, name)].help)
+                about = _first(commands[(*path, name)].help)
                 lines.append(f"complete -c tissueid -f -n {shlex.quote(inside)} -a {name} -d {shlex.quote(about)}")
         for option in command.options:
             for name in option.names:
@@ -259,7 +259,7 @@ def manual_markdown() -> str:
     """Return the reference of all commands as Markdown."""
     lines = ["# Commands", "", "Generated from the argument parsers. `tissueid COMMAND --help` prints the same.", ""]
     for command in all_commands():
-        lines += [f"## {' '.join(('tissueid', *command.words))}", "", f"    {command.usage}", "", command.help, ""]
+        lines += [f"## {' '.join(('tissueid', *command.path))}", "", f"    {command.usage}", "", command.help, ""]
         rows = [(item.written, item.help) for item in (*command.arguments, *command.options)]
         if rows:
             lines += ["| | |", "| --- | --- |"]

@@ -53,11 +53,11 @@ def run_diagnose(plan: DiagnosisPlan, out: Output) -> None:
     check_different(out.json_file, plan.report, plan.twin_out)
     trail = audit_trail()
     diagnosed = out.run(diagnose_session, plan)
-    found = diagnosed.found
-    out.print_lines(summary_lines(found))
-    if ordered_candidates(found):
-        out.print(ranking_table(found))
-    out.write_json(as_answer(found))
+    diagnosis = diagnosed.diagnosis
+    out.print_lines(summary_lines(diagnosis))
+    if ordered_candidates(diagnosis):
+        out.print(ranking_table(diagnosis))
+    out.write_json(as_answer(diagnosis))
     out.print_files(report=plan.report)
     if plan.twin_out is not None:
         out.run(accept_effects, AcceptPlan(session=plan.session, out=plan.twin_out), trail, diagnosed.named)
@@ -83,54 +83,55 @@ def run_batch(
     out.write_json(written)
 
 
-def _line_and_answer(found: Diagnosis) -> dict[str, Any]:
-    return {"line": _short(found)} | as_answer(found)
+def _line_and_answer(diagnosis: Diagnosis) -> dict[str, Any]:
+    return {"line": _short(diagnosis)} | as_answer(diagnosis)
 
 
-def _short(found: Diagnosis) -> str:
-    named = " + ".join(found.combination) or found.verdict.replace("_", " ")
-    figures = found.gap
-    details = [f"stage {' and '.join(found.at_fault)}"] if found.at_fault else []
-    known = [
-        (member.effect, shown_probability(found, member.effect, member.probability)) for member in members_of(found)
+def _short(diagnosis: Diagnosis) -> str:
+    named = " + ".join(diagnosis.combination) or diagnosis.verdict.replace("_", " ")
+    figures = diagnosis.gap
+    details = [f"stage {' and '.join(diagnosis.at_fault)}"] if diagnosis.at_fault else []
+    probabilities = [
+        (member.effect, shown_probability(diagnosis, member.effect, member.probability))
+        for member in members_of(diagnosis)
     ]
-    details += [f"{name} {percent(share)} %" for name, share in known if np.isfinite(share)]
+    details += [f"{name} {percent(share)} %" for name, share in probabilities if np.isfinite(share)]
     about = f" ({', '.join(details)})" if details else ""
     return (
         f"{named}{about}; gap {figures.before:.2%} to {figures.after:.2%}, floor {figures.floor:.2%}, "
-        f"{found.seconds:.0f} s"
+        f"{diagnosis.seconds:.0f} s"
     )
 
 
-def summary_lines(found: Diagnosis) -> list[str]:
+def summary_lines(diagnosis: Diagnosis) -> list[str]:
     """Return the diagnosis as a few lines."""
-    figures = found.gap
-    lines = [f"{headline_of(found)[0]}."]
+    figures = diagnosis.gap
+    lines = [f"{headline_of(diagnosis)[0]}."]
     lines.append(f"Gap on held-out data: {figures.before:.2%}; noise floor {figures.floor:.2%}.")
-    if found.verdict == "no_gap":
-        lines += map(str, sentences_of(found))
-    if found.combination:
+    if diagnosis.verdict == "no_gap":
+        lines += map(str, sentences_of(diagnosis))
+    if diagnosis.combination:
         lines.append(
-            f"With {' and '.join(found.combination)}: {figures.after:.2%}, {figures.closed:.0%} of the gap closed "
+            f"With {' and '.join(diagnosis.combination)}: {figures.after:.2%}, {figures.closed:.0%} of the gap closed "
             f"({_interval(figures.closed_ci)})."
         )
-    if found.budget is not None and len(found.budget.steps) > 1:
-        alternatives = alternatives_of(found)
+    if diagnosis.budget is not None and len(diagnosis.budget.steps) > 1:
+        alternatives = alternatives_of(diagnosis)
         lines += [
             f"  {step.effect}: closes {step.added:.0%} ({_interval(step.added_ci)}) when it is added, "
             f"{step.removed:.0%} ({_interval(step.removed_ci)}) when it alone is removed"
             + (f"; in its place possible: {', '.join(others)}." if (others := alternatives[step.effect]) else ".")
-            for step in found.budget.steps
+            for step in diagnosis.budget.steps
         ]
-    if np.isfinite(found.ceiling):
-        lines.append(f"Ceiling: {found.ceiling:.0%}, closed by a flexible regression or by the best candidate.")
-    if found.at_fault:
-        lines.append(f"Stage at fault: {' and '.join(STAGE_NAMES[stage] for stage in found.at_fault)}.")
-    if found.next_experiment is not None:
-        lines.append(f"Next: {found.next_experiment.kind}. {found.next_experiment.why}")
-        if found.next_experiment.command_line:
-            lines.append(f"      {found.next_experiment.command_line}")
-    lines += found.remarks
+    if np.isfinite(diagnosis.ceiling):
+        lines.append(f"Ceiling: {diagnosis.ceiling:.0%}, closed by a flexible regression or by the best candidate.")
+    if diagnosis.at_fault:
+        lines.append(f"Stage at fault: {' and '.join(STAGE_NAMES[stage] for stage in diagnosis.at_fault)}.")
+    if diagnosis.next_experiment is not None:
+        lines.append(f"Next: {diagnosis.next_experiment.kind}. {diagnosis.next_experiment.why}")
+        if diagnosis.next_experiment.command_line:
+            lines.append(f"      {diagnosis.next_experiment.command_line}")
+    lines += diagnosis.remarks
     return lines
 
 
@@ -142,17 +143,17 @@ def _share(of: float, form: str = ".0%") -> str:
     return format(of, form) if np.isfinite(of) else MISSING
 
 
-def ranking_table(found: Diagnosis) -> Table:
+def ranking_table(diagnosis: Diagnosis) -> Table:
     """Return the table of candidates, best first."""
     rows = table("Candidates", "Effect", "Stage", "Probability", "Closed", "Indistinguishable from")
     for column in rows.columns[:4]:
         column.no_wrap = True
-    for item in ordered_candidates(found):
+    for item in ordered_candidates(diagnosis):
         interval = _interval(item.closed_ci)
         rows.add_row(
             item.effect,
             item.stage,
-            _share(shown_probability(found, item.effect, item.probability), ".1%"),
+            _share(shown_probability(diagnosis, item.effect, item.probability), ".1%"),
             f"{item.closed:.0%} ({interval})" if interval != MISSING else _share(item.closed),
             ", ".join(item.indistinguishable),
         )
@@ -179,20 +180,20 @@ def run_accept(
     if not plan.effects:
         diagnosed = out.run(diagnose_session, plan.diagnosis)
         named = diagnosed.named
-        out.print_lines(_odds(diagnosed.found))
+        out.print_lines(_odds(diagnosed.diagnosis))
         chosen = named.effects if yes else _chosen(named.effects)
         plan = plan.model_copy(update={"effects": chosen})
     content = out.run(accept_effects, plan, trail, named)
     print_twin(plan.out, content, out)
 
 
-def _odds(found: Diagnosis) -> list[str]:
+def _odds(diagnosis: Diagnosis) -> list[str]:
     """Return a line for each member of the combination: its probability, and the close rivals with theirs."""
     lines = []
-    for place, member in enumerate(members_of(found), 1):
+    for position, member in enumerate(members_of(diagnosis), 1):
         rivals = ", ".join(f"{name} {percent(share)} %" for name, share in member.rivals)
         share = "unknown" if member.probability != member.probability else f"{percent(member.probability)} %"
-        lines.append(f"{place}. {member.effect}: probability {share}{f'; rivals: {rivals}' if rivals else ''}")
+        lines.append(f"{position}. {member.effect}: probability {share}{f'; rivals: {rivals}' if rivals else ''}")
     return lines
 
 
@@ -213,7 +214,7 @@ def _chosen(members: tuple[str, ...]) -> tuple[str, ...]:
     if not all(number.isdecimal() and 1 <= int(number) <= len(members) for number in numbers):
         raise UnusableInputError(f"choose numbers from 1 to {len(members)}, not {line.strip()!r}; nothing was written")
     wanted = {int(number) for number in numbers} or set(range(1, len(members) + 1))
-    return tuple(member for place, member in enumerate(members, 1) if place in wanted)
+    return tuple(member for position, member in enumerate(members, 1) if position in wanted)
 
 
 def run_watch(plan: WatchPlan, out: Output) -> None:
@@ -245,26 +246,26 @@ def list_effects(out: Output) -> None:
     Raises:
         UnusableInputError: the file cannot be written.
     """
-    rows = [(one.name, STAGE_NAMES[one.stage], one.title) for one in all_effects().values()]
+    rows = [(effect.name, STAGE_NAMES[effect.stage], effect.title) for effect in all_effects().values()]
     out.print(table("Effects", "Effect", "Stage", "Title", rows=rows))
-    out.write_json([declared(one) for one in all_effects().values()])
+    out.write_json([declared(effect) for effect in all_effects().values()])
 
 
-def declared(one: Effect) -> dict[str, Any]:
+def declared(effect: Effect) -> dict[str, Any]:
     """Return the declaration of an effect as plain values, SI.
 
     ``scales_with`` is the property of the instrument with which a parameter's bounds scale, and its exponent.
     """
     return {
-        "effect": one.name,
-        "stage": one.stage,
-        "title": one.title,
-        "equation": one.equation,
-        "signature": one.signature,
-        "remedy": one.remedy,
-        "source": one.source,
-        "mistaken_for": list(one.mistaken_for),
-        "needs": sorted(one.needs),
+        "effect": effect.name,
+        "stage": effect.stage,
+        "title": effect.title,
+        "equation": effect.equation,
+        "signature": effect.signature,
+        "remedy": effect.remedy,
+        "source": effect.source,
+        "mistaken_for": list(effect.mistaken_for),
+        "needs": sorted(effect.needs),
         "parameters": [
             {
                 "name": item.name,
@@ -274,7 +275,7 @@ def declared(one: Effect) -> dict[str, Any]:
                 "high": item.high,
                 "scales_with": item.scales_with and dict([item.scales_with]),
             }
-            for item in one.parameters
+            for item in effect.parameters
         ],
     }
 

@@ -192,8 +192,8 @@ class PlainTable(Table):
         super().add_row(*(_lines_clean(cell) if isinstance(cell, str) else cell for cell in cells), **options)
 
 
-def table(title: str, *columns: str, rows: Iterable[Iterable[str]] = (), left: bool = False) -> PlainTable:
-    """Return a table: first column left-aligned, the others right-aligned except with ``left``."""
+def table(title: str, *columns: str, rows: Iterable[Iterable[str]] = (), left_aligned: bool = False) -> PlainTable:
+    """Return a table: first column left-aligned, the others right-aligned except with ``left_aligned``."""
     result = PlainTable(
         title=_lines_clean(title),
         title_justify="left",
@@ -203,7 +203,7 @@ def table(title: str, *columns: str, rows: Iterable[Iterable[str]] = (), left: b
         padding=(0, 2, 0, 0),
     )
     for number, column in enumerate(columns):
-        result.add_column(column, justify="left" if left or number == 0 else "right")
+        result.add_column(column, justify="left" if left_aligned or number == 0 else "right")
     for row in rows:
         result.add_row(*row)
     return result

@@ -38,15 +38,15 @@ def print_quality(plan: QualityPlan, out: Output) -> None:
     out.widen(120)
     rows = table("Quality", "test", "site", "kind", "verdict", "when it was recorded")
     answer = []
-    for test, found in judged:
+    for test, quality in judged:
         before = quality_of(test)
         recorded = "not judged" if before is None else before.headline
-        rows.add_row(str(test.number), test.site, test.kind, found.headline, recorded)
-        about = {"test": test.number, "site": test.site, "kind": test.kind} | found.as_dict()
+        rows.add_row(str(test.number), test.site, test.kind, quality.headline, recorded)
+        about = {"test": test.number, "site": test.site, "kind": test.kind} | quality.as_dict()
         answer.append(about | {"verdict_when_recorded": None if before is None else before.verdict})
     out.print(rows)
-    for test, found in judged:
-        out.print_lines(finding_lines(test.number, found))
+    for test, quality in judged:
+        out.print_lines(finding_lines(test.number, quality))
     out.write_json({"session": str(plan.session), "session_id": session.session_id, "tests": answer})
 
 
@@ -107,11 +107,11 @@ def _tests_answer(tests: ResidualTests | None) -> dict[str, Any] | None:
     }
 
 
-def readable(name: str, found: Estimate) -> tuple[str, str, str]:
+def readable(name: str, estimate: Estimate) -> tuple[str, str, str]:
     """Return label, value with its deviation, and display unit of a parameter."""
     label, si_unit = label_and_unit(name)
     unit, scale = display_unit(si_unit)
-    return label, plus_minus(found, scale), unit
+    return label, plus_minus(estimate, scale), unit
 
 
 def print_analysis(analysis: Analysis, out: Output) -> None:
@@ -208,30 +208,32 @@ def _options(kind: type[Engine]) -> dict[str, dict[str, Any]]:
 
 def print_readings(plan: ReadingsPlan, out: Output) -> None:
     """Compute the readings, print them and write the JSON and the page."""
-    session, found = out.run(run_readings, plan)
+    session, readings = out.run(run_readings, plan)
     out.widen(120)
     reasons: dict[str, int] = {}
-    rows = table(_title(found), "reading", "", "recorded step", "model", "unit", "notes")
-    for recorded, model in found.rows():
+    rows = table(_title(readings), "reading", "", "recorded step", "model", "unit", "notes")
+    for recorded, model in readings.rows():
         definition = recorded.definition
         unit, scale = display_unit(definition.si_unit)
-        marks = [str(reasons.setdefault(one.reason, len(reasons) + 1)) for one in (recorded, model) if one.reason]
-        found_values = [one.estimate for one in (recorded, model)]
+        marks = [
+            str(reasons.setdefault(reading.reason, len(reasons) + 1)) for reading in (recorded, model) if reading.reason
+        ]
+        found_values = [reading.estimate for reading in (recorded, model)]
         cells = [MISSING if value is None else plus_minus(value, scale) for value in found_values]
         rows.add_row(definition.symbol, str(definition.meaning), *cells, unit, ",".join(dict.fromkeys(marks)))
     out.print(rows)
-    out.print_lines([*(f"  {number}. {reason}" for reason, number in reasons.items()), *map(str, found.notes)])
+    out.print_lines([*(f"  {number}. {reason}" for reason, number in reasons.items()), *map(str, readings.notes)])
     out.print_files(report=plan.page)
-    out.write_json({"session_id": session.session_id} | found.as_answer())
+    out.write_json({"session_id": session.session_id} | readings.as_answer())
 
 
-def _title(found: DeviceReadings) -> str:
+def _title(readings: DeviceReadings) -> str:
     parts = []
-    if found.recorded is not None:
-        parts.append(f"step test {found.recorded.test.number}")
-    if found.analysis is not None:
-        parts.append(f"{found.analysis.model.report.engine} on test {found.analysis.test}")
-    step = found.course
+    if readings.recorded is not None:
+        parts.append(f"step test {readings.recorded.test.number}")
+    if readings.analysis is not None:
+        parts.append(f"{readings.analysis.model.report.engine} on test {readings.analysis.test}")
+    step = readings.course
     force = "" if step is None else f", {step.low_n:.2f} to {step.high_n:.2f} N for {step.hold_s:.2f} s"
     return f"Readings: {', '.join(parts)}{force}"
 

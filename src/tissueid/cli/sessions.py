@@ -143,11 +143,11 @@ _ANSWERS = {True: "yes", False: "no", None: "not probed"}
 
 def list_devices(plan: DevicesPlan, out: Output) -> None:
     """Print the instruments that were found, and why some did not answer."""
-    found = listed_instruments(plan)
+    instruments = listed_instruments(plan)
     rows = [
         (item.url, f"{item.what}: {item.detail}" if item.answers and item.detail else item.what, _ANSWERS[item.answers])
-        for item in found
+        for item in instruments
     ]
-    out.print(table("Instruments", "device", "what", "answers", rows=rows, left=True))
-    out.print_lines(item.detail for item in found if item.answers is False)
-    out.write_json([asdict(item) for item in found])
+    out.print(table("Instruments", "device", "what", "answers", rows=rows, left_aligned=True))
+    out.print_lines(item.detail for item in instruments if item.answers is False)
+    out.write_json([asdict(item) for item in instruments])

@@ -102,24 +102,24 @@ def _list(kind: str | None, out: Output) -> Any:
         answer = [
             {
                 "kind": name,
-                "what": summary(one),
-                "generated_while_the_test_runs": issubclass(one, FeedbackKind),
-                "options": list(one.model_fields),
+                "what": summary(model),
+                "generated_while_the_test_runs": issubclass(model, FeedbackKind),
+                "options": list(model.model_fields),
             }
-            for name, one in kinds.items()
+            for name, model in kinds.items()
         ]
         rows = [
-            (name, f"{'during' if issubclass(one, FeedbackKind) else 'before'} the test", summary(one))
-            for name, one in kinds.items()
+            (name, f"{'during' if issubclass(model, FeedbackKind) else 'before'} the test", summary(model))
+            for name, model in kinds.items()
         ]
-        out.print(table("Kinds of stimulus", "kind", "generated", "description", rows=rows, left=True))
+        out.print(table("Kinds of stimulus", "kind", "generated", "description", rows=rows, left_aligned=True))
         out.print("'tissueid stimulus KIND --options' lists the options of a kind.", style="dim")
         return answer
     chosen = get_stimulus(kind)
     fields = chosen.model_fields.items()
     options = [(name, default_of(field), allowed(field), field.description or "") for name, field in fields]
     columns = ("option", "default", "values", "description")
-    out.print(table(f"Options of the stimulus {chosen.name}", *columns, rows=options, left=True))
+    out.print(table(f"Options of the stimulus {chosen.name}", *columns, rows=options, left_aligned=True))
     out.print("Lists are JSON, such as --option 'notches=[[45, 55]]'.", style="dim")
     return chosen.model_json_schema()
 
@@ -128,40 +128,40 @@ def _print_design(design: StimulusDesign, out: Output) -> dict[str, Any]:
     """Print a stimulus and its check; return them for JSON."""
     out.print(_table(f"Stimulus {design.specification.name}", design.rows()))
     out.print_lines(f"{concern.severity}: {concern.words}" for concern in design.appraisal.concerns)
-    stimulus, found = design.stimulus, design.appraisal
+    stimulus, appraisal = design.stimulus, design.appraisal
     return {
         "description": stimulus.description,
         "samples": len(stimulus),
         "sample_rate_hz": stimulus.sample_rate_hz,
         "unit": stimulus.unit,
         "sha256": checksum(stimulus),
-        "seconds": found.seconds,
-        "force_min_n": found.force_min_n,
-        "force_max_n": found.force_max_n,
-        "voltage_min_v": found.voltage_min_v,
-        "voltage_max_v": found.voltage_max_v,
-        "force_mean_n": found.force_mean_n,
-        "force_std_n": found.force_std_n,
-        "crest_factor": found.crest_factor,
-        "power_95_hz": found.power_95_hz,
-        "power_99_hz": found.power_99_hz,
-        "steepest_edge_n_per_s": found.steepest_edge_n_per_s,
-        "edge_ratio": found.edge_ratio,
-        "rms_current_a": found.rms_current_a,
-        "peak_current_a": found.peak_current_a,
-        "heating_expected_k": found.heating.expected_k,
-        "heating_least_k": found.heating.least_k,
-        "heating_most_k": found.heating.most_k,
-        "heating_bound_k": found.heating.bound_k,
+        "seconds": appraisal.seconds,
+        "force_min_n": appraisal.force_min_n,
+        "force_max_n": appraisal.force_max_n,
+        "voltage_min_v": appraisal.voltage_min_v,
+        "voltage_max_v": appraisal.voltage_max_v,
+        "force_mean_n": appraisal.force_mean_n,
+        "force_std_n": appraisal.force_std_n,
+        "crest_factor": appraisal.crest_factor,
+        "power_95_hz": appraisal.power_95_hz,
+        "power_99_hz": appraisal.power_99_hz,
+        "steepest_edge_n_per_s": appraisal.steepest_edge_n_per_s,
+        "edge_ratio": appraisal.edge_ratio,
+        "rms_current_a": appraisal.rms_current_a,
+        "peak_current_a": appraisal.peak_current_a,
+        "heating_expected_k": appraisal.heating.expected_k,
+        "heating_least_k": appraisal.heating.least_k,
+        "heating_most_k": appraisal.heating.most_k,
+        "heating_bound_k": appraisal.heating.bound_k,
         "concerns": [
             {"severity": concern.severity, "words": concern.words, "message": stored(concern.words)}
-            for concern in found.concerns
+            for concern in appraisal.concerns
         ],
     } | design.answer()
 
 
 def _table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
-    return table(title, "quantity", "value", rows=rows, left=True)
+    return table(title, "quantity", "value", rows=rows, left_aligned=True)
 
 
 def _trial_answer(trial: FeedbackTrial) -> dict[str, Any]:

@@ -63,8 +63,8 @@ def print_table(plan: StudyPlan, out: Output) -> None:
         cells = [_text(row["mean"], factor), _text(row["std"], factor)]
         cells += [_percent(row[name]) for name in ("individual_cv", "population_cv")]
         name = axis_label(row["parameter"], unit)
-        place = (row["site"], row["condition"] or MISSING) if several else (row["site"],)
-        shown.add_row(*place, name, str(row["subjects"]), str(row["tests"]), *cells)
+        group = (row["site"], row["condition"] or MISSING) if several else (row["site"],)
+        shown.add_row(*group, name, str(row["subjects"]), str(row["tests"]), *cells)
     out.print(shown)
     _print_counts(run, out)
     _write_answer(run, rows, out)
@@ -89,12 +89,12 @@ def print_population(plan: PopulationPlan, out: Output) -> None:
     _print_report(out.run(run_population, plan), out)
 
 
-def _print_report(found: StudyReport, out: Output) -> None:
-    out.print_lines((f"note: {remark}" for remark in found.statistics.remarks), soft_wrap=True)
-    _print_counts(found.run, out)
-    pages = " and ".join(str(path) for path in (found.page, found.pdf) if path is not None)
+def _print_report(report: StudyReport, out: Output) -> None:
+    out.print_lines((f"note: {remark}" for remark in report.statistics.remarks), soft_wrap=True)
+    _print_counts(report.run, out)
+    pages = " and ".join(str(path) for path in (report.page, report.pdf) if path is not None)
     out.print(f"report: {pages}", soft_wrap=True)
-    out.write_json(found.as_answer())
+    out.write_json(report.as_answer())
 
 
 def _write_answer(run: StudyRun, rows: pd.DataFrame, out: Output) -> None:
@@ -165,7 +165,7 @@ def print_sitting(plan: SittingRunPlan, out: Output) -> None:
 
 
 def _done(state: SittingState) -> int:
-    return state.total if state.step is None else state.step.place - 1
+    return state.total if state.step is None else state.step.position - 1
 
 
 class _SittingControl(ConsoleControl):

@@ -161,35 +161,35 @@ class _TerminalControl(ConsoleControl, TestControl):
 
 def _not_enough(rule: StopRule, view: LiveView | None) -> str:
     """Return how well the parameters of a stop rule are known at the end of a test that it did not end."""
-    known = []
+    uncertain = []
     for name, target in rule.targets.items():
-        found = None if view is None else view.parameters.get(name)
+        estimate = None if view is None else view.parameters.get(name)
         values = {"name": name, "target": 100.0 * target}
-        if found is None or not found.std:
-            known.append(Message("test.parameter_unknown", "{name} is not known (target {target:.1f} %)", **values))
+        if estimate is None or not estimate.std:
+            uncertain.append(Message("test.parameter_unknown", "{name} is not known (target {target:.1f} %)", **values))
             continue
-        known.append(
+        uncertain.append(
             Message(
                 "test.parameter_uncertain",
                 "{name} has an uncertainty of {percent:.1f} % (target {target:.1f} %)",
-                percent=100.0 * found.std / abs(found.value),
+                percent=100.0 * estimate.std / abs(estimate.value),
                 **values,
             )
         )
     return Message(
-        "test.too_short", "the test was too short for the requested uncertainty: {known}", known=joined(known)
+        "test.too_short", "the test was too short for the requested uncertainty: {known}", known=joined(uncertain)
     )
 
 
 def view_line(view: LiveView) -> str:
     """Return the current state of a running test as one line."""
-    words = [f"{fixed(view.seconds, 2)} s"]
-    for name, found in view.parameters.items():
+    parts = [f"{fixed(view.seconds, 2)} s"]
+    for name, estimate in view.parameters.items():
         unit, scale = _UNITS[name]
-        words.append(f"{name} {plus_minus(found, scale)} {unit}")
+        parts.append(f"{name} {plus_minus(estimate, scale)} {unit}")
     if view.vaf_percent is not None:
-        words.append(f"VAF {fixed(view.vaf_percent, 1)} % ({view.method})")
-    return ", ".join(words if view.parameters else [*words, view.missing])
+        parts.append(f"VAF {fixed(view.vaf_percent, 1)} % ({view.method})")
+    return ", ".join(parts if view.parameters else [*parts, view.missing])
 
 
 def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> dict[str, Any]:
@@ -232,7 +232,9 @@ def live_answer(view: LiveView | None) -> dict[str, Any] | None:
         "method": view.method,
         "seconds": view.seconds,
         "vaf_percent": view.vaf_percent,
-        "parameters": {_SI[name]: {"value": found.value, "std": found.std} for name, found in view.parameters.items()},
+        "parameters": {
+            _SI[name]: {"value": estimate.value, "std": estimate.std} for name, estimate in view.parameters.items()
+        },
     }
 
 

@@ -78,8 +78,8 @@ def _missing(error: ImportError | OSError) -> UnusableInputError:
 
 def _load_plugin() -> None:
     """Load the X11 plugin of Qt; an OSError names a missing library."""
-    found = find_spec("PySide6")
-    for folder in (found.submodule_search_locations or []) if found else []:
+    package = find_spec("PySide6")
+    for folder in (package.submodule_search_locations or []) if package else []:
         plugin = Path(folder) / "Qt" / "plugins" / "platforms" / "libqxcb.so"
         if plugin.is_file():
             ctypes.CDLL(str(plugin))

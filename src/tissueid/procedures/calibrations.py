@@ -182,12 +182,12 @@ def listed_calibrations(plan: CalibrationListPlan) -> tuple[Path | None, tuple[L
     listed = []
     newest: set[tuple[str, str]] = set()
     for item in stored_calibrations(folder):
-        found = item.calibration
-        if plan.serial is not None and (found is None or found.serial_number != plan.serial):
+        calibration = item.calibration
+        if plan.serial is not None and (calibration is None or calibration.serial_number != plan.serial):
             continue
         status = file_status(item, now)
-        key = ("", "") if found is None else (found.serial_number, found.kind)
-        listed.append(ListedCalibration(item.path, found, status, status.usable and key not in newest))
+        key = ("", "") if calibration is None else (calibration.serial_number, calibration.kind)
+        listed.append(ListedCalibration(item.path, calibration, status, status.usable and key not in newest))
         if status.usable:
             newest.add(key)
     return folder, tuple(listed)
@@ -242,7 +242,7 @@ def run_static_calibration(
         path = calibration_path(plan, serial_number, now)
         trail.record("calibration.begun", subject=serial_number, new=plan.kind)
         with audit_failure(trail, control, "calibration", subject=serial_number):
-            found = calibrate_static(
+            result = calibrate_static(
                 instrument,
                 plan.on(instrument.device),
                 ask=control.ask if control.attended else None,
@@ -251,7 +251,7 @@ def run_static_calibration(
             )
     finally:
         instrument.close()
-    return keep(plan, found.calibration, path, control, trail, nominal=instrument.nominal, seconds=found.seconds)
+    return keep(plan, result.calibration, path, control, trail, nominal=instrument.nominal, seconds=result.seconds)
 
 
 _SWEEPING = Message("calibration.step.sweep", "identifying the spring along the stroke")

@@ -45,10 +45,14 @@ class RemainingTime:
         passed = self._clock() - self._began
         if passed < self.FIRST_S or not self.LEAST_SHARE <= share < 1.0:
             return step
-        left = passed * (1.0 - share) / share
-        if left < 90.0:
-            return Message("procedure.seconds_left", "{step}, about {seconds:.0f} s left", step=step, seconds=left)
-        return Message("procedure.minutes_left", "{step}, about {minutes:.0f} min left", step=step, minutes=left / 60.0)
+        remaining_s = passed * (1.0 - share) / share
+        if remaining_s < 90.0:
+            return Message(
+                "procedure.seconds_left", "{step}, about {seconds:.0f} s left", step=step, seconds=remaining_s
+            )
+        return Message(
+            "procedure.minutes_left", "{step}, about {minutes:.0f} min left", step=step, minutes=remaining_s / 60.0
+        )
 
 
 class CountedProgress:

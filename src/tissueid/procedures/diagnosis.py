@@ -73,19 +73,19 @@ class DiagnosedSession:
     plan: DiagnosisPlan
     session: Session
     twin: TwinFile | None
-    found: Diagnosis
+    diagnosis: Diagnosis
 
     @property
     def named(self) -> NamedEffects:
         """What the diagnosis names for a twin."""
-        return named_effects(self.found, self.session.session_id, self.twin)
+        return named_effects(self.diagnosis, self.session.session_id, self.twin)
 
     @property
     def report_html(self) -> str:
         """The report as HTML, in the language in force."""
         from tissueid.reports.gap_page import DiagnosisOrigin, gap_html
 
-        return gap_html(self.found, origin=DiagnosisOrigin(self.session, self.plan.session))
+        return gap_html(self.diagnosis, origin=DiagnosisOrigin(self.session, self.plan.session))
 
 
 def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
@@ -105,18 +105,18 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
     twin = None if plan.twin is None else read_twin(plan.twin)
     session = read_session(plan.session)
     check_report(plan.report, session)
-    dataset, known = against_twin(prepare(session, plan.fit, plan.check), twin)
+    dataset, effects = against_twin(prepare(session, plan.fit, plan.check), twin)
     with executor(plan.workers) as pool:
-        found = diagnose(
+        diagnosis = diagnose(
             dataset,
             pool,
-            accepted=known,
+            accepted=effects,
             without=plan.without,
             seconds=plan.seconds,
             progress=SearchDisplay(control),
             cancelled=control.check,
         )
-    diagnosed = DiagnosedSession(plan, session, twin, found)
+    diagnosed = DiagnosedSession(plan, session, twin, diagnosis)
     if plan.report is not None:
         write_text(plan.report, diagnosed.report_html)
     return diagnosed
@@ -220,10 +220,10 @@ def _entry(path: Path, answer: dict[str, Any]) -> GapHistoryEntry:
 def _diagnosed(
     twin: TwinFile | None, plan: FolderPlan, control: Control, of: Callable[[Diagnosis], dict[str, Any]]
 ) -> dict[Path, dict[str, Any]]:
-    found = session_files(plan.folder)
-    if not found:
+    refusals = session_files(plan.folder)
+    if not refusals:
         raise UnusableInputError("gap.no_sessions", "there are no session files in {folder}", folder=str(plan.folder))
-    files = [path for path, refused in found.items() if refused is None]
+    files = [path for path, refused in refusals.items() if refused is None]
     kept = _kept_answers(plan.folder, twin, of)
     done = CountedProgress(control, _DIAGNOSING, len(files))
     try:
@@ -234,7 +234,7 @@ def _diagnosed(
         shutil.rmtree(kept, ignore_errors=True)
         raise
     shutil.rmtree(kept, ignore_errors=True)
-    return {path: answers.get(path) or {_CREATED: "", _REASON: refused} for path, refused in found.items()}
+    return {path: answers.get(path) or {_CREATED: "", _REASON: refused} for path, refused in refusals.items()}
 
 
 def _kept_answers(folder: Path, twin: TwinFile | None, of: Callable[[Diagnosis], dict[str, Any]]) -> Path:
@@ -262,8 +262,8 @@ def _of_file(
     try:
         session = read_session(path)
         created = session.created
-        dataset, known = against_twin(prepare(session), twin)
-        answer = of(diagnose(dataset, SerialExecutor(), accepted=known)) | {_CREATED: created}
+        dataset, effects = against_twin(prepare(session), twin)
+        answer = of(diagnose(dataset, SerialExecutor(), accepted=effects)) | {_CREATED: created}
     except UnusableInputError as error:
         return {_CREATED: created, _REASON: error.message}
     with contextlib.suppress(UnusableInputError):  # without a cache, the procedure begins again after a kill
@@ -297,13 +297,13 @@ def saved_twins(plan: TwinFolderPlan) -> dict[Path, TwinFile]:
     """
     if not plan.folder.is_dir():
         raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(plan.folder))
-    found = {}
+    twins = {}
     for path in sorted(plan.folder.glob(f"*{SUFFIX}")):
         try:
-            found[path] = read_twin(path)
+            twins[path] = read_twin(path)
         except UnusableInputError:
             continue
-    return found
+    return twins
 
 
 def accept_effects(

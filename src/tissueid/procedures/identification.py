@@ -182,7 +182,7 @@ class ComparedTests:
     """A comparison with its session. ``no_ceiling`` says why the limit set by repeats is not known."""
 
     session: Session
-    found: EngineComparison
+    comparison: EngineComparison
     no_ceiling: str = ""
     figures: tuple[Path, ...] = ()
 
@@ -209,7 +209,7 @@ def run_comparison(plan: ComparePlan, control: Control) -> ComparedTests:
         return compared
     from tissueid.reports import comparison_report
 
-    report = comparison_report(session, compared.found, control.follow)
+    report = comparison_report(session, compared.comparison, control.follow)
     return replace(compared, figures=write_figures(report, plan.page, plan.figures))
 
 
@@ -242,8 +242,8 @@ def compare_engines(
     fits = None
     if cluster is not None and cluster.scheduler is not None:
         fits = functools.partial(_fits_on_cluster, cluster, control)
-    found = compare(engines, parts, ceiling=ceiling, sweep=sweep, progress=control.follow, fits=fits)
-    return ComparedTests(session, found, no_ceiling)
+    comparison = compare(engines, parts, ceiling=ceiling, sweep=sweep, progress=control.follow, fits=fits)
+    return ComparedTests(session, comparison, no_ceiling)
 
 
 def _fits_on_cluster(
@@ -262,7 +262,7 @@ def _by_engine(options: Sequence[str]) -> dict[str, dict[str, Any]]:
     Raises:
         UnusableInputError: an option names no engine.
     """
-    found: dict[str, dict[str, Any]] = {}
+    by_engine: dict[str, dict[str, Any]] = {}
     for name, value in parse_options(options).items():
         engine, dot, option = name.partition(".")
         if not dot or not option:
@@ -272,8 +272,8 @@ def _by_engine(options: Sequence[str]) -> dict[str, dict[str, Any]]:
                 form="ENGINE.NAME=VALUE",
                 text=Verbatim(repr(name)),
             )
-        found.setdefault(engine, {})[option] = value
-    return found
+        by_engine.setdefault(engine, {})[option] = value
+    return by_engine
 
 
 def check_figures(folder: Path | None) -> None:

@@ -104,18 +104,18 @@ class ImportPlan(Plan):
         from tissueid.sessions import KINDS
         from tissueid.sessions.imports import Choices
 
-        for words, known in (
+        for given, allowed in (
             (self.kinds, KINDS),
             (self.configurations, tuple(CONFIGURATIONS)),
             ((self.decimal,) if self.decimal is not None else (), tuple(_DECIMALS)),
         ):
-            for word in words:
-                if word not in known:
+            for word in given:
+                if word not in allowed:
                     raise UnusableInputError(
                         "import.unknown",
                         "'{word}' is not known: choose one of {known}",
                         word=Verbatim(word),
-                        known=Verbatim(", ".join(known)),
+                        known=Verbatim(", ".join(allowed)),
                     )
         check_subject(self.subject or "", confirmed=self.pseudonym_confirmed)
         for text in (*self.sites, *self.instrument, self.subject or ""):
@@ -277,15 +277,15 @@ def unfinished_journals(folder: Path) -> list[Path]:
     """Return the journals of unfinished tests in a folder, without those of running tests."""
     from tissueid.acquisition.journal import JournalError, lock
 
-    found = []
+    journals = []
     for path in sorted(folder.glob("*.journal")):
         try:
             with open_regular(path) as file:
                 lock(file)
         except (OSError, JournalError):
             continue
-        found.append(path)
-    return found
+        journals.append(path)
+    return journals
 
 
 def recover_folder(

@@ -114,7 +114,7 @@ def greatest_force_n(instrument: Instrument) -> float:
 class InstrumentSurvey:
     """Found instruments, and device and maximum force, N, of those that answered, by address."""
 
-    found: Sequence[FoundInstrument]
+    instruments: Sequence[FoundInstrument]
     devices: Mapping[str, DeviceDescription]
     forces_n: Mapping[str, float]
 
@@ -258,9 +258,9 @@ class ContactWatch:
             return self._contact
 
     @contact.setter
-    def contact(self, found: Contact) -> None:
+    def contact(self, contact: Contact) -> None:
         with self._lock:
-            self._contact = found
+            self._contact = contact
 
 
 @dataclass(frozen=True)

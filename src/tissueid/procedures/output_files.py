@@ -45,8 +45,8 @@ def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
     if target.exists():
         with open_regular(target) as file:
             head = file.read(512).lstrip()
-        known = tuple(text.encode() if isinstance(text, str) else text for text in begins)
-        if head and not head.startswith(known):
+        signatures = tuple(text.encode() if isinstance(text, str) else text for text in begins)
+        if head and not head.startswith(signatures):
             raise UnusableInputError(
                 "file.other_content",
                 "{path} already exists and has other content; it is not overwritten",
@@ -90,10 +90,10 @@ def stored_values(path: Path) -> dict[str, Any]:
     """Return the JSON object in a file that this program wrote; an empty one if there is none, or it cannot be used."""
     try:
         with open_regular(path) as file:
-            found = json_value(file.read(_LARGEST_VALUES))
+            values = json_value(file.read(_LARGEST_VALUES))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return values if isinstance(values, dict) else {}
 
 
 def check_different(*targets: Path | None) -> None:

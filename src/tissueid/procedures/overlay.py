@@ -102,17 +102,17 @@ def run_overlay(plan: OverlayPlan, control: Control) -> Overlay:
     check_different(plan.page, plan.csv)
     check_figures(plan.figures)
     calibration = None if plan.calibration is None else sweep_columns(plan.calibration)
-    found = fitted(plan, control, sweep=_sweep(plan.sweep))
+    overlay = fitted(plan, control, sweep=_sweep(plan.sweep))
     if plan.page is None and plan.figures is None and plan.csv is None:
-        return found
+        return overlay
     from tissueid.reports.overlay_page import overlay_report
 
     control.progress(None, Message("report.drawing", "Drawing the figures"))
-    report = overlay_report(found, calibration)
+    report = overlay_report(overlay, calibration)
     write_figures(report, plan.page, plan.figures)
     if plan.csv is not None:
         write_text(plan.csv, report.csv())
-    return found
+    return overlay
 
 
 def run_repeats(plan: RepeatsPlan, control: Control) -> Overlay:
@@ -123,10 +123,10 @@ def run_repeats(plan: RepeatsPlan, control: Control) -> Overlay:
         CancelledError: it was cancelled; nothing was written.
     """
     check_output(plan.csv, _CSV)
-    found = fitted(plan, control, every=True)
+    overlay = fitted(plan, control, every=True)
     if plan.csv is not None:
-        write_text(plan.csv, repeats_csv(found))
-    return found
+        write_text(plan.csv, repeats_csv(overlay))
+    return overlay
 
 
 def fitted(
@@ -165,22 +165,22 @@ def named_fits(engines: Sequence[str] | None, fits: Sequence[str]) -> list[Named
     from tissueid.analysis.overlay import NamedFit
     from tissueid.identification import engine_names, get_engine
 
-    found = [NamedFit(name, get_engine(name)()) for name in engines or ()]
+    named = [NamedFit(name, get_engine(name)()) for name in engines or ()]
     for text in fits:
         label, name, options = _fit_parts(text)
-        found.append(NamedFit(label, get_engine(name).from_options(options)))
-    labels = [fit.label for fit in found]
+        named.append(NamedFit(label, get_engine(name).from_options(options)))
+    labels = [fit.label for fit in named]
     if twice := [label for label in labels if labels.count(label) > 1]:
         raise UnusableInputError(
             "overlay.fit_twice", "two fits are called '{name}': give each a LABEL=", name=Verbatim(twice[0])
         )
-    if not found:
+    if not named:
         raise UnusableInputError(
             "overlay.no_fit",
             "--engines or --fit is required, with engines among {names}",
             names=joined(map(Verbatim, engine_names())),
         )
-    return found
+    return named
 
 
 def _fit_parts(text: str) -> tuple[str, str, dict[str, Any]]:
@@ -211,17 +211,17 @@ def read_sources(texts: Sequence[str], *, every: bool = False) -> list[TestSourc
     from tissueid.sessions import read_session
 
     read = cache(read_session)
-    found: list[TestSource] = []
+    sources: list[TestSource] = []
     for text in texts:
         label, pattern, tests, fits = _source_parts(text)
         for path in _files(pattern):
             session = read(path)
             for numbers in _groups(session, "all" if every and not tests else tests):
                 site = (session.test(numbers[0]).site or path.stem)[:_LONGEST_LABEL]
-                found.append(TestSource(label or site, session, numbers, fits))
-        if len(found) > _MOST_SOURCES:
+                sources.append(TestSource(label or site, session, numbers, fits))
+        if len(sources) > _MOST_SOURCES:
             raise UnusableInputError("overlay.too_many", "more than {most} tests are given", most=_MOST_SOURCES)
-    return found
+    return sources
 
 
 def _files(path: Path) -> list[Path]:
@@ -300,12 +300,12 @@ def sweep_columns(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array(values) for name, values in columns.items()}
 
 
-def repeats_csv(found: Overlay) -> str:
+def repeats_csv(overlay: Overlay) -> str:
     """Return mean, standard deviation and coefficient of variation of every quantity as CSV, SI."""
     from tissueid.analysis.overlay import repeated_values
 
     rows: list[tuple[object, ...]] = [("source", "fit", "quantity", "count", "mean", "std", "cv")]
-    for one in repeated_values(found):
-        numbers = (None if value != value else value for value in (one.mean, one.std, one.cv))
-        rows.append((one.source, one.fit, one.quantity, one.count, *numbers))
+    for repeated in repeated_values(overlay):
+        numbers = (None if value != value else value for value in (repeated.mean, repeated.std, repeated.cv))
+        rows.append((repeated.source, repeated.fit, repeated.quantity, repeated.count, *numbers))
     return csv_text(rows)

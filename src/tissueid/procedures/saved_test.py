@@ -42,7 +42,7 @@ def judge_tests(plan: QualityPlan) -> tuple[Session, tuple[tuple[Test, Quality],
 
     session = read_session(plan.session)
     chosen = session.test(plan.test).number if plan.test is not None or not session.tests else None
-    return session, tuple((test, found) for test, found in judge_session(session) if chosen in (None, test.number))
+    return session, tuple((test, quality) for test, quality in judge_session(session) if chosen in (None, test.number))
 
 
 _REFITTING = marked("Refitting the model")
@@ -105,7 +105,7 @@ def run_readings(plan: ReadingsPlan, control: Control) -> tuple[Session, DeviceR
     stochastic = next((test.number for test in fitted.tests if test.kind == "stochastic"), None)
     number = stochastic if number is None else fitted.test(number).number
     control.check()
-    found = device_readings(
+    readings = device_readings(
         step,
         None if number is None else lambda: analyse(fitted, plan.engine, options, test=number),
         engine,
@@ -115,8 +115,8 @@ def run_readings(plan: ReadingsPlan, control: Control) -> tuple[Session, DeviceR
     if plan.page is not None:
         from tissueid.reports.readings_page import readings_page
 
-        write_text(plan.page, readings_page(session, found))
-    return session, found
+        write_text(plan.page, readings_page(session, readings))
+    return session, readings
 
 
 _FITTING = marked("Fitting the engines")

@@ -82,7 +82,7 @@ class _PipeControl(Control):
 
     def __init__(self, out: Connection) -> None:
         self._out = out
-        self.left = threading.Event()
+        self.abandoned = threading.Event()
 
     def progress(self, fraction: float | None, step: str) -> None:
         self.send("progress", (fraction, step))
@@ -94,7 +94,7 @@ class _PipeControl(Control):
         self.send("finished", part)
 
     def cancelled(self) -> bool:
-        return self.left.is_set()
+        return self.abandoned.is_set()
 
     def send(self, kind: str, content: object) -> None:
         with contextlib.suppress(OSError):
@@ -107,17 +107,17 @@ def _work(work: Callable[[Control], object], language: str, units: str, out: Con
     set_language(language)
     use(units)
     control = _PipeControl(out)
-    threading.Thread(target=_listen, args=(out, control.left), daemon=True).start()
+    threading.Thread(target=_listen, args=(out, control.abandoned), daemon=True).start()
     try:
-        found = work(control)
+        result = work(control)
     except Exception as error:  # noqa: BLE001 - it is raised again on the other side, if it still waits
         control.send("failed", error)
     else:
-        control.send("done", found)
+        control.send("done", result)
 
 
-def _listen(out: Connection, left: threading.Event) -> None:
+def _listen(out: Connection, abandoned: threading.Event) -> None:
     # Set when the other side cancels or has ended: running fits are abandoned.
     with contextlib.suppress(EOFError, OSError):
         out.recv()
-    left.set()
+    abandoned.set()

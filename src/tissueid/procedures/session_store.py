@@ -103,8 +103,8 @@ class RemoteStore:
         with self._opened() as (files, root):
             if not files.exists(root):
                 raise FileNotFoundError("there is nothing")
-            found = files.find(root, detail=True)
-            names = {_name(path[len(root) :].lstrip("/")): about for path, about in found.items()}
+            listing = files.find(root, detail=True)
+            names = {_name(path[len(root) :].lstrip("/")): about for path, about in listing.items()}
             return {
                 name: _digest(name, about.get("size"), _version(about))
                 for name, about in sorted(names.items())
@@ -117,16 +117,16 @@ class RemoteStore:
         with tempfile.TemporaryDirectory(prefix="tissueid-") as folder:
             path = Path(folder) / f"session{_ENDING}"
             with self._opened() as (files, root):
-                place = f"{root}/{name}"
-                _copy(files, place if files.exists(place) else f"{root}/{_stored_name(name)}", path)
+                stored_path = f"{root}/{name}"
+                _copy(files, stored_path if files.exists(stored_path) else f"{root}/{_stored_name(name)}", path)
             yield path
 
     def results(self, analysis: str) -> list[str]:
         """Return the keys of the results of an analysis."""
         with contextlib.suppress(UnusableInputError), self._opened() as (files, root):
             folder = f"{root}/{RESULTS}/{analysis}"
-            found = files.ls(folder, detail=False) if files.exists(folder) else []
-            return [Path(path).stem for path in found if str(path).endswith(".json")]
+            paths = files.ls(folder, detail=False) if files.exists(folder) else []
+            return [Path(path).stem for path in paths if str(path).endswith(".json")]
         return []
 
     def read_result(self, analysis: str, key: str) -> bytes | None:
@@ -182,19 +182,19 @@ SessionStore = FolderStore | RemoteStore
 """A place with sessions and results. ``name`` is the path of a session below it."""
 
 
-def _copy(files: Any, place: str, target: Path) -> None:
+def _copy(files: Any, source_path: str, target: Path) -> None:
     """Copy a file of fsspec after checking its size, as stated and as packed, the room on this disk and its signature.
 
     Raises:
         UnusableInputError: it is too large, or is no session.
         Exception: of any kind, from the file system.
     """
-    about = files.info(place)
+    about = files.info(source_path)
     size, packed = about.get("size"), about.get("compress_size")
     most = MAX_FILE_BYTES if packed is None else min(MAX_FILE_BYTES, allowed_unpacked_bytes(packed))
     most = min(most, shutil.disk_usage(target.parent).free)
     copied = 0
-    with files.open(place, "rb") as source, target.open("wb") as file:
+    with files.open(source_path, "rb") as source, target.open("wb") as file:
         while (size or 0) <= most and copied <= most and (block := source.read(_BLOCK_BYTES)):
             file.write(block)
             if not copied:
@@ -223,7 +223,7 @@ def _name(path: object) -> str:
 
 def _stored_name(name: str) -> str:
     """Return the path of a ``_name`` with bytes that are not UTF-8."""
-    return os.fsdecode(re.sub(rb"\\x([0-9a-f]{2})", lambda found: bytes.fromhex(found[1].decode()), name.encode()))
+    return os.fsdecode(re.sub(rb"\\x([0-9a-f]{2})", lambda match: bytes.fromhex(match[1].decode()), name.encode()))
 
 
 def _digest(*parts: object) -> str:

@@ -291,18 +291,18 @@ def _checked(
     plan: StimulusPlan, stimulus: Stimulus, device: DeviceDescription, search: InterchangeResult | None
 ) -> StimulusDesign:
     limits = plan.profile
-    found = assess_stimulus(
+    appraisal = assess_stimulus(
         stimulus,
         device,
         max_force_n=limits.max_force_n,
         max_seconds=limits.max_seconds - (0.0 if stimulus.preload_s else PRELOAD_S),
         max_temperature_c=limits.max_temperature_c,
     )
-    for concern in found.concerns:
+    for concern in appraisal.concerns:
         if concern.severity == "refused":
             reason = concern.words.rstrip(".")
             raise LimitError(f"the instrument would refuse this stimulus: {reason[:1].lower()}{reason[1:]}")
-    return StimulusDesign(stimulus, device, found, search)
+    return StimulusDesign(stimulus, device, appraisal, search)
 
 
 def _tried(plan: StimulusPlan, kind: FeedbackKind, control: Control) -> FeedbackTrial:

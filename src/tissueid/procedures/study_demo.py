@@ -96,14 +96,14 @@ class Person:
     def tissue(self, site: str, condition: str = "") -> SimulatedTissue:
         """Return the tissue at a site, under a lotion or without one; the instrument varies it from test to test."""
         kind = replace(TISSUES[SITES[site]], people=PEOPLE)
-        found = kind.of_subject(self.number).heavier(self.mass_factor(site))
-        factor, skin = LOTIONS.get(condition, 1.0), found.tissue
+        simulated = kind.of_subject(self.number).heavier(self.mass_factor(site))
+        factor, skin = LOTIONS.get(condition, 1.0), simulated.tissue
         stretched = replace(  # depth at constant force divided by the factor
             skin,
             stiffness_n_per_m=factor * skin.stiffness_n_per_m,
             stiffness_growth_per_m=factor * skin.stiffness_growth_per_m,
         )
-        return replace(found, tissue=stretched)
+        return replace(simulated, tissue=stretched)
 
     def mass_factor(self, site: str) -> float:
         """Return the relative mass of the tissue at a site, with the effects of gender and body mass index."""
@@ -118,12 +118,12 @@ def population(count: int, seed: int) -> list[Person]:
     """Draw subjects as in the thesis: 18 to 36 years, both genders equally often."""
     random = np.random.default_rng([seed, 7])
     origins = np.random.default_rng([seed, 8]).permutation(np.resize(ETHNICITIES, count))
-    people = []
+    persons = []
     for number in range(count):
         male = number % 2 == 1
         height = random.normal(1.77 if male else 1.64, 0.065)
         bmi = float(np.clip(random.normal(MEAN_BMI, 2.8), 17.5, 33.0))
-        people.append(
+        persons.append(
             Person(
                 f"P-{number + 1:03d}",
                 1000 * seed + number,
@@ -135,7 +135,7 @@ def population(count: int, seed: int) -> list[Person]:
                 str(origins[number]),
             )
         )
-    return people
+    return persons
 
 
 def sample_name(material: str) -> str:
@@ -143,12 +143,12 @@ def sample_name(material: str) -> str:
     return f"M-{list(MATERIALS).index(material) + 1}"
 
 
-def subjects_file(people: Sequence[Person], materials: Iterable[str] = ()) -> str:
+def subjects_file(persons: Sequence[Person], materials: Iterable[str] = ()) -> str:
     """Return the demographic values of people, and the materials of samples, as CSV."""
     head = "subject,age_years,weight_kg,height_m,gender,handedness,ethnicity,material"
     rows = [
         f"{who.pseudonym},{who.age_years:g},{who.weight_kg:g},{who.height_m:g},{who.gender},{who.handedness},{who.ethnicity},"
-        for who in people
+        for who in persons
     ]
     rows += [f"{sample_name(name)},,,,,,,{name}" for name in materials]
     return "\n".join([head, *rows]) + "\n"
@@ -213,17 +213,17 @@ def measure_population(plan: PopulationPlan, control: Control) -> None:
         CancelledError: it was cancelled; the finished sessions are kept.
     """
     _take_folder(plan)
-    people = population(plan.subjects, plan.seed)
-    write_text(plan.out / SUBJECTS_FILE, subjects_file(people, MATERIALS if plan.products else ()))
-    series = [Series(person.pseudonym, site, person.seed(site)) for person in people for site in SITES]
+    persons = population(plan.subjects, plan.seed)
+    write_text(plan.out / SUBJECTS_FILE, subjects_file(persons, MATERIALS if plan.products else ()))
+    series = [Series(person.pseudonym, site, person.seed(site)) for person in persons for site in SITES]
     if plan.products:
         series += [
             Series(person.pseudonym, LOTION_SITE, person.seed(LOTION_SITE) + 10 + number, lotion)
-            for person in people
+            for person in persons
             for number, lotion in enumerate(LOTIONS)
         ]
         series += [Series(sample_name(name), name, number, "") for number, name in enumerate(MATERIALS)]
-    series = [one for one in series if not session_path(plan, one).exists()]
+    series = [item for item in series if not session_path(plan, item).exists()]
     if series:
         done = CountedProgress(control, _MEASURING, len(series))
         with executor(plan.workers) as pool:
@@ -284,14 +284,14 @@ def _take_folder(plan: PopulationPlan) -> None:
     """
     mark = {"made_by": _MADE_BY, "options": plan.model_dump(mode="json", include=set(_OPTIONS))}
     if plan.out.exists() and (not plan.out.is_dir() or any(plan.out.iterdir())):
-        found = stored_values(plan.out / _MARK)
-        if found.get("made_by") != _MADE_BY:
+        existing = stored_values(plan.out / _MARK)
+        if existing.get("made_by") != _MADE_BY:
             raise UnusableInputError(
                 "study.folder_used",
                 "{folder} exists and is neither empty nor the folder of an earlier 'study demo'",
                 folder=str(plan.out),
             )
-        if found != mark:
+        if existing != mark:
             raise UnusableInputError(
                 "study.other_population",
                 "{folder} holds a simulated population with other options; give the same ones, or another folder",

@@ -118,7 +118,7 @@ class Protocol(SetUp):
             raise ValueError(
                 Message("protocol.no_condition", "'conditions': give at least one condition; it may be empty")
             )
-        if any(one.minutes_since_application is not None and not one.product for one in self.conditions):
+        if any(item.minutes_since_application is not None and not item.product for item in self.conditions):
             raise ValueError(Message("protocol.minutes", "'conditions': 'minutes_since_application' needs a 'product'"))
         if self.stimulus not in {preset.name for preset in PRESETS}:
             raise ValueError(
@@ -167,7 +167,7 @@ class Protocol(SetUp):
 
 @dataclass(frozen=True)
 class SittingStep:
-    """One test of a sitting: ``place`` of ``total`` steps and ``repeat`` of ``repeats`` at the site, all from 1.
+    """One test of a sitting: ``position`` of ``total`` steps and ``repeat`` of ``repeats`` at the site, all from 1.
 
     ``attempt`` is 2 where the test before was of no use.
     """
@@ -177,7 +177,7 @@ class SittingStep:
     condition: Condition
     repeat: int
     repeats: int
-    place: int
+    position: int
     total: int
     attempt: int = 1
 
@@ -197,7 +197,7 @@ def sitting_steps(protocol: Protocol, subject: str) -> list[SittingStep]:
     for _application, group in itertools.groupby(protocol.conditions, _application_of):
         block = [(condition, site) for condition in group for site in protocol.sites]
         if protocol.order == "randomised":
-            block.sort(key=lambda place: _rank(protocol.seed, subject, *place))
+            block.sort(key=lambda pair: _rank(protocol.seed, subject, *pair))
         places += block
     total = sum(protocol.repeats_at(site) for _condition, site in places)
     steps: list[SittingStep] = []
@@ -219,12 +219,12 @@ def next_step(protocol: Protocol, subject: str, recorded: Sequence[RecordedTest]
         subject: pseudonym.
         recorded: the subject's tests in the order of recording.
     """
-    left: dict[tuple[str, Condition], list[bool]] = {}
+    unassigned: dict[tuple[str, Condition], list[bool]] = {}
     for test in recorded:
         if (condition := _planned(protocol, test.condition)) is not None:
-            left.setdefault((test.site, condition), []).append(test.counts)
+            unassigned.setdefault((test.site, condition), []).append(test.counts)
     for step in sitting_steps(protocol, subject):
-        tests = left.get((step.site, step.condition), [])
+        tests = unassigned.get((step.site, step.condition), [])
         attempts = 0
         while tests and attempts < protocol.attempts:
             attempts += 1
@@ -241,7 +241,7 @@ def finished_sites(protocol: Protocol, subject: str, step: SittingStep | None) -
     if step is None:
         return {other.site for other in steps}
     now = [other for other in steps if _application_of(other.condition) == _application_of(step.condition)]
-    return {other.site for other in now} - {other.site for other in now if other.place >= step.place}
+    return {other.site for other in now} - {other.site for other in now if other.position >= step.position}
 
 
 def _application_of(condition: Condition) -> tuple[str, float | None]:
@@ -259,10 +259,10 @@ def _planned(protocol: Protocol, given: Condition) -> Condition | None:
     """Return the condition of the protocol to which a test belongs; None where it belongs to none."""
     minutes = given.minutes_since_application
     at_minutes = {"minutes_since_application": minutes}
-    same = [one for one in protocol.conditions if one.model_copy(update=at_minutes) == given]
+    same = [condition for condition in protocol.conditions if condition.model_copy(update=at_minutes) == given]
     if minutes is None:
         return same[0] if same else None
-    return min(same, key=lambda one: abs((one.minutes_since_application or 0.0) - minutes), default=None)
+    return min(same, key=lambda condition: abs((condition.minutes_since_application or 0.0) - minutes), default=None)
 
 
 def check_pseudonym(text: str) -> str:
@@ -306,7 +306,7 @@ def read_protocol(folder: Path) -> Protocol:
 
     too_large = Message("protocol.large", "{path} is too large for a protocol", path=str(path))
     try:
-        found = json_value(read_at_most(path, _LARGEST_PROTOCOL, too_large))
+        content = json_value(read_at_most(path, _LARGEST_PROTOCOL, too_large))
     except ValueError as error:
         raise UnusableInputError(
             "protocol.not_json",
@@ -314,25 +314,25 @@ def read_protocol(folder: Path) -> Protocol:
             path=str(path),
             reason=Verbatim(str(error).splitlines()[0]),
         ) from error
-    protocol = parse_protocol(found, str(path))
+    protocol = parse_protocol(content, str(path))
     check_tests(protocol, str(path))
     return protocol
 
 
-def parse_protocol(found: Any, what: str) -> Protocol:
+def parse_protocol(content: Any, what: str) -> Protocol:
     """Return the protocol of a parsed file.
 
     Args:
-        found: content of the file.
+        content: content of the file.
         what: name of the file in the error.
 
     Raises:
         UnusableInputError: a value is missing or not valid.
     """
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise UnusableInputError("protocol.no_object", "{path} must hold a JSON object", path=what)
     try:
-        return Protocol(**found)
+        return Protocol(**content)
     except ValidationError as error:
         reason = option_error(Verbatim(what), Protocol.model_fields, error)
         if not error.errors()[0]["loc"]:  # of the whole protocol
@@ -346,7 +346,7 @@ def check_tests(protocol: Protocol, what: str) -> None:
     Raises:
         UnusableInputError: limits, configuration, probe, coupling, orientation or length do not go together.
     """
-    for step in (SittingStep("P", protocol.sites[0].site, one, 1, 1, 1, 1) for one in protocol.conditions):
+    for step in (SittingStep("P", protocol.sites[0].site, condition, 1, 1, 1, 1) for condition in protocol.conditions):
         try:
             protocol.plan(step, "simulated://forearm", Path("test.h5")).check()
         except UnusableInputError as error:

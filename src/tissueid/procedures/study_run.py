@@ -132,15 +132,15 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     results = plan.folder / RESULTS
     for folder in (plan.folder, results):
         private_folder(folder)
-    known, new = _analyse(plan, options, store, keys, control)
-    common = specification.common([one for found in known.values() for one in found.get(_DETAILS, ())])
+    answers, new = _analyse(plan, options, store, keys, control)
+    common = specification.common([details for answer in answers.values() for details in answer.get(_DETAILS, ())])
     if common != specification:  # one model for all tests, as parameters of different ones are not comparable
-        known, again = _analyse(plan, common.options(), store, keys, control)
+        answers, again = _analyse(plan, common.options(), store, keys, control)
         new = max(new, again)
-    failures = {name: reason for name in keys if (reason := known[name].get(_FAILED)) is not None}
+    failures = {name: reason for name in keys if (reason := answers[name].get(_FAILED)) is not None}
     lines = ((name, " ".join(reason.split()), keys[name]) for name, reason in failures.items())
     write_text(results / NOT_ANALYSED_FILE, csv_text([("session", "reason", "key"), *lines]))
-    rows = [row | {"session": name} for name in keys for row in known[name].get("rows", ())]
+    rows = [row | {"session": name} for name in keys for row in answers[name].get("rows", ())]
     if not rows:
         name, reason = next(iter(failures.items()))
         raise UnusableInputError(
@@ -152,7 +152,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
         )
     table = study_table(rows, subjects)
     curves = curves_table(
-        (name, test, curve) for name in keys for test, curve in known[name].get(_CURVES, ()) if name not in failures
+        (name, test, curve) for name in keys for test, curve in answers[name].get(_CURVES, ()) if name not in failures
     )
     written = (
         (table, "table.csv", write_table),
@@ -174,19 +174,19 @@ def _analyse(
     stored = set(store.results(analysis))
     for stale in stored - set(keys.values()):
         store.remove_result(analysis, stale)
-    known = {
-        name: found
+    answers = {
+        name: answer
         for name, key in keys.items()
-        if key in stored and (found := _decoded(store.read_result(analysis, key))) is not None
+        if key in stored and (answer := _decoded(store.read_result(analysis, key))) is not None
     }
-    new = [name for name in keys if name not in known]
+    new = [name for name in keys if name not in answers]
     if new:
         work = functools.partial(_analysed, plan, options, store, analysis)
         done = CountedProgress(control, _ANALYSING, len(new))
         with plan_executor(plan.workers, plan) as pool:
             items = [(name, keys[name]) for name in new]
-            known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
-    return known, len(new)
+            answers |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
+    return answers, len(new)
 
 
 def read_failures(path: Path, keys: Mapping[str, str]) -> dict[str, str]:
@@ -235,27 +235,27 @@ def _analysed(
     from tissueid.analysis.curves.samples import from_json
 
     name, key = item
-    place = ""
-    found: dict[str, Any]
+    local_path = ""
+    answer: dict[str, Any]
     try:
         with store.local_file(name) as path:
-            place = str(path)
+            local_path = str(path)
             session = read_session(path)
-        found = {"rows": [], _CURVES: [], _DETAILS: []}
+        answer = {"rows": [], _CURVES: [], _DETAILS: []}
         for test in session.tests:
             row, details, sampled = _row(session, test, plan, options)
-            found["rows"].append(row)
-            found[_DETAILS].append(details)
+            answer["rows"].append(row)
+            answer[_DETAILS].append(details)
             # As they are read again, so that a second run gives the same report.
-            found[_CURVES] += [(test.number, from_json(curve.as_json())) for curve in sampled]
+            answer[_CURVES] += [(test.number, from_json(curve.as_json())) for curve in sampled]
     except TissueIDError as error:
-        found = {_FAILED: str(error).removeprefix(place).lstrip(" :")}  # the name of the file is stated with it
-    if not found.get("rows") and _FAILED not in found:
-        found[_FAILED] = "no test could be analysed"
+        answer = {_FAILED: str(error).removeprefix(local_path).lstrip(" :")}  # the name of the file is stated with it
+    if not answer.get("rows") and _FAILED not in answer:
+        answer[_FAILED] = "no test could be analysed"
     with contextlib.suppress(OSError, UnusableInputError):
-        stored = [(test, curve.as_json()) for test, curve in found.get(_CURVES, ())]
-        store.write_result(analysis, key, json.dumps(found | {_CURVES: stored}).encode())
-    return found
+        stored = [(test, curve.as_json()) for test, curve in answer.get(_CURVES, ())]
+        store.write_result(analysis, key, json.dumps(answer | {_CURVES: stored}).encode())
+    return answer
 
 
 def _row(
@@ -283,7 +283,7 @@ def _row(
         "kind": test.kind,
         "status": test.status,
         "quality": quality.verdict,
-        "findings": ", ".join(one.code for one in quality.findings if one.severity == quality.verdict),
+        "findings": ", ".join(finding.code for finding in quality.findings if finding.severity == quality.verdict),
         "engine": plan.engine,
     }
     own = (*KEYS, *DESCRIPTION)
@@ -360,7 +360,7 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     from tissueid.studies.study_statistics import study_statistics
 
     control.progress(0.0, _COMPUTING)
-    found = study_statistics(
+    statistics = study_statistics(
         run.table,
         run.curves,
         factors=plan.factors,
@@ -372,12 +372,12 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     control.check()
     page = plan.report or plan.folder / RESULTS / "report.html"
     name = ", ".join((study_name(plan.folder), *plan.only))
-    write_text(page, study_html(name, plan.engine, found, run.failures))
+    write_text(page, study_html(name, plan.engine, statistics, run.failures))
     if plan.pdf is not None:
         with writing(plan.pdf):
-            write_study_pdf(plan.pdf, name, plan.engine, found, run.failures)
+            write_study_pdf(plan.pdf, name, plan.engine, statistics, run.failures)
     control.progress(1.0, _COMPUTING)
-    return StudyReport(run, found, page, plan.pdf, plan.only)
+    return StudyReport(run, statistics, page, plan.pdf, plan.only)
 
 
 def _check_names(plan: StudyReportPlan, table: pd.DataFrame) -> None:
@@ -396,12 +396,12 @@ def _check_names(plan: StudyReportPlan, table: pd.DataFrame) -> None:
                 name=Verbatim(clean(name)[:MAX_TEXT]),
                 known=joined(map(Verbatim, subject_columns(table))) or MISSING,
             )
-    known = sorted({str(name) for name in table["condition"].dropna() if name})
+    conditions = sorted({str(name) for name in table["condition"].dropna() if name})
     for condition in filter(None, (plan.before, plan.after)):
-        if condition not in known:
+        if condition not in conditions:
             raise UnusableInputError(
                 "study.unknown_condition",
                 "no test has the condition '{name}'; conditions: {known}",
                 name=Verbatim(clean(condition)[:MAX_TEXT]),
-                known=joined(map(Verbatim, known)) or MISSING,
+                known=joined(map(Verbatim, conditions)) or MISSING,
             )

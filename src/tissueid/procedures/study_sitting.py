@@ -179,14 +179,14 @@ def prepare_subject(plan: SittingRunPlan, protocol: Protocol, control: Control) 
     """
     pairs = [_pair(text, "--value") for text in plan.values]
     photographs = [_pair(text, "--photograph") for text in plan.photographs]
-    known = [site.site for site in protocol.sites]
+    sites = [site.site for site in protocol.sites]
     for site, _file in photographs:
-        if site not in known:
+        if site not in sites:
             raise UnusableInputError(
                 "sitting.site",
                 "the protocol has no site '{site}'; it has {known}",
                 site=Verbatim(site),
-                known=joined(map(Verbatim, known), between="; "),
+                known=joined(map(Verbatim, sites), between="; "),
             )
     subject = check_pseudonym(plan.subject)
     if pairs:
@@ -237,10 +237,10 @@ def run_sitting(
     label = Message("sitting.label", "Sitting of {subject}", subject=Verbatim(state.subject))
     remaining, first = RemainingTime(), None
     while (step := state.step) is not None:
-        first = first or step.place
-        share = (step.place - first) / (step.total - first + 1)
-        text = counted(label, step.place - 1, step.total)
-        control.progress((step.place - 1) / step.total, remaining.added_to(text, share))
+        first = first or step.position
+        share = (step.position - first) / (step.total - first + 1)
+        text = counted(label, step.position - 1, step.total)
+        control.progress((step.position - 1) / step.total, remaining.added_to(text, share))
         control.check()
         private_folder(state.sessions)
         test = state.protocol.plan(step, plan.url, _unused(state, step), calibration=plan.calibration)
@@ -277,7 +277,7 @@ def _earlier(state: SittingState, step: SittingStep) -> list[Test]:
 
 
 def _unused(state: SittingState, step: SittingStep) -> Path:
-    path = state.sessions / f"{state.subject}-{step.place:03d}{SUFFIX}"
+    path = state.sessions / f"{state.subject}-{step.position:03d}{SUFFIX}"
     return unused_path(path, taken=lambda path: path.exists() or path.with_name(f"{path.name}.journal").exists())
 
 

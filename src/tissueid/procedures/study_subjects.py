@@ -112,10 +112,10 @@ def read_demographics(folder: Path) -> dict[str, dict[str, str]]:
         ) from error
     if any(_SUBJECT not in row for row in rows):
         raise UnusableInputError("study.subjects_column", "{path} must have a column 'subject'", path=str(path))
-    found = {row[_SUBJECT]: {name: value or "" for name, value in row.items() if name} for row in rows}
-    if len(found) < len(rows) or not all(found):
+    demographics = {row[_SUBJECT]: {name: value or "" for name, value in row.items() if name} for row in rows}
+    if len(demographics) < len(rows) or not all(demographics):
         raise UnusableInputError("study.subjects_twice", "in {path} each row must name another subject", path=str(path))
-    return found
+    return demographics
 
 
 def save_demographics(folder: Path, subject: str, values: Mapping[str, str]) -> None:
@@ -139,8 +139,8 @@ def missing_demographics(protocol: Protocol, folder: Path, subject: str) -> list
     Raises:
         UnusableInputError: the file cannot be read.
     """
-    known = read_demographics(folder).get(subject, {})
-    return [name for name in protocol.demographics if not known.get(name, "").strip()]
+    values = read_demographics(folder).get(subject, {})
+    return [name for name in protocol.demographics if not values.get(name, "").strip()]
 
 
 def add_photograph(folder: Path, subject: str, site: str, source: Path) -> Path:
@@ -170,8 +170,8 @@ def add_photograph(folder: Path, subject: str, site: str, source: Path) -> Path:
             path=str(source),
             most=_MOST_PIXELS / 1e6,
         ) from error
-    place = "".join(c if c.isalnum() else "-" for c in site).strip("-")[:60] or "site"
-    target = folder / PHOTOGRAPHS / f"{subject} {place}{suffix}"
+    site_name = "".join(c if c.isalnum() else "-" for c in site).strip("-")[:60] or "site"
+    target = folder / PHOTOGRAPHS / f"{subject} {site_name}{suffix}"
     try:
         private_folder(target.parent)
         target = unused_path(target)

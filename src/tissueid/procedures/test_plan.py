@@ -119,9 +119,9 @@ def reads_like_name(text: str) -> bool:
     parts = _JOINT.sub(" ", text).split()
     if not 2 <= len(parts) <= _MOST_WORDS or not all(_WORD.fullmatch(part) for part in parts):
         return False
-    words = [part for part in parts if part.lower() not in _PARTICLES]
-    named = [word for word in words if word.lower().rstrip(".") not in _TITLES]
-    titled = len(named) < len(words)
+    significant = [part for part in parts if part.lower() not in _PARTICLES]
+    named = [word for word in significant if word.lower().rstrip(".") not in _TITLES]
+    titled = len(named) < len(significant)
     full = [word for word in named if _capitalised(word)]
     initials = [word for word in named if len(word.rstrip(".")) == 1 and word[0].isupper()]
     return len(full) + len(initials) == len(named) and (len(named) >= 2 or titled) and bool(full)
@@ -583,10 +583,10 @@ def design_stimulus(specification: OpenLoopKind, control: Control) -> tuple[Stim
     if isinstance(specification, Interchange):
         first: list[InterchangeProgress] = []
 
-        def follow(found: InterchangeProgress) -> None:
+        def follow(state: InterchangeProgress) -> None:
             control.check()
-            first[:] = first or [found]
-            control.progress(_share(first[0], found), step)
+            first[:] = first or [state]
+            control.progress(_share(first[0], state), step)
 
         search = specification.design(follow)
         built = specification.stimulus_from(search)

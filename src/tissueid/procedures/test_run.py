@@ -383,8 +383,8 @@ class _Run:
                 surface_m=placement,
                 progress=self._received,
                 cancelled=control.check,
-                enough=lambda one=identification: one is not None and one.enough(),  # type: ignore[misc]
-                why=lambda one=identification: "" if one is None else one.reason,  # type: ignore[misc]
+                enough=lambda running=identification: running is not None and running.enough(),  # type: ignore[misc]
+                why=lambda running=identification: "" if running is None else running.reason,  # type: ignore[misc]
             )
             if identification is not None:
                 run_while_polling(instrument, self.end_identification)  # the last estimate may take a while

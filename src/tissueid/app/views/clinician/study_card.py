@@ -138,14 +138,14 @@ class StudyCard(QFrame):
         finished = finished_sites(protocol, state.subject, step)
         self.map.show_sites([site.site for site in protocol.sites], step.site if step else "", finished)
         self.bar.setRange(0, total)
-        self.bar.setValue(step.place - 1 if step else total)
+        self.bar.setValue(step.position - 1 if step else total)
         self.photograph.setVisible(protocol.photograph)
         self.next_subject.setVisible(step is None)
         if step is None:
             texts = [_("Complete"), Message("study.all", "All {total} tests are done.", total=total), "", "", ""]
         else:
             texts = [
-                Message("study.place", "{place} of {total}", place=step.place, total=step.total),
+                Message("study.place", "{place} of {total}", place=step.position, total=step.total),
                 Verbatim(clean(step.site)),
                 Message("study.repeat", "Test {repeat} of {count} here", repeat=step.repeat, count=step.repeats),
                 step.condition.text,

@@ -336,7 +336,7 @@ def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> Diagno
     """
     from tissueid.gap import as_answer
 
-    found, session, named = diagnosed.found, diagnosed.session, diagnosed.named
+    found, session, named = diagnosed.diagnosis, diagnosed.session, diagnosed.named
     return DiagnosisResult(
         diagnosed.plan,
         session.session_id,

@@ -206,7 +206,7 @@ def _compare_one(
 ) -> tuple[list[EngineOutcome], list[ComparisonSummary]]:
     shown = _ComparisonControl(control, task.engines)
     specified = specifications(task.engines)
-    found = compare_engines(read(group[0].path), specified, shown, **task.selection(group)).found
+    found = compare_engines(read(group[0].path), specified, shown, **task.selection(group)).comparison
     control.progress(0.96, _("drawing"))
     control.check()
     return list(_outcomes(found, group, task)), [summary_of(found, group)]
