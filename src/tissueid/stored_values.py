@@ -38,9 +38,9 @@ def _stored_text(text: str) -> Any:
     return {"text": str(text), **text.as_dict()} if isinstance(text, Message) else text
 
 
-StoredText = Annotated[str, PlainValidator(_text_from), PlainSerializer(_stored_text)]
+MessageText = Annotated[str, PlainValidator(_text_from), PlainSerializer(_stored_text)]
 """A ``str``, or a ``Message`` stored with its code, template and values."""
-Texts = Annotated[tuple[StoredText, ...], Field(max_length=200)]
+Texts = Annotated[tuple[MessageText, ...], Field(max_length=200)]
 Name = Annotated[str, Field(min_length=1, max_length=60)]
 """Name of an engine, an option or a parameter."""
 Number = Annotated[

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from tissueid.records import Estimate
-from tissueid.stored_values import LONGEST_TEXT, StoredText
+from tissueid.stored_values import LONGEST_TEXT, MessageText
 from tissueid.twin.effect import STAGES, Stage
 
 MOST_POINTS = 100_000
@@ -110,7 +110,7 @@ class SignalOverlay:
 class BudgetRow:
     """One bar of the gap budget: its name, and where it begins and ends, as shares of the signal (0 to 1)."""
 
-    name: StoredText
+    name: MessageText
     low: float
     high: float
     role: Literal["model", "measured", "check"]
@@ -132,7 +132,7 @@ def _known_share(value: float) -> float:
 
 
 Name = Annotated[str, Field(max_length=LONGEST_TEXT)]
-Lines = Annotated[tuple[StoredText, ...], Field(max_length=_MOST_LINES)]
+Lines = Annotated[tuple[MessageText, ...], Field(max_length=_MOST_LINES)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -150,7 +150,7 @@ class StageContent:
 class Fitted:
     """A fitted parameter: its meaning, and its value in SI units."""
 
-    meaning: StoredText
+    meaning: MessageText
     value: Estimate
     si_unit: Name
 
@@ -159,15 +159,15 @@ class Fitted:
 class Rival:
     """One candidate of the ranking; ``figures`` are its fitted parameters."""
 
-    title: StoredText
+    title: MessageText
     stage: Stage
     named: bool
     probability: Annotated[float, AfterValidator(_known_share)]
-    odds: StoredText
-    closed: StoredText
-    alike: StoredText
-    signature: StoredText
-    remedy: StoredText
+    odds: MessageText
+    closed: MessageText
+    alike: MessageText
+    signature: MessageText
+    remedy: MessageText
     figures: Annotated[tuple[Fitted, ...], Field(max_length=MOST_ROWS)]
 
 
@@ -176,8 +176,8 @@ class DiagnosisContent:
     """A diagnosis as page and report show it. Texts are messages, which are translated when they are shown."""
 
     verdict: Literal["effect", "no_gap", "unexplained"]
-    effect: StoredText
-    headline: StoredText
+    effect: MessageText
+    headline: MessageText
     level: Literal["good", "check", "poor"]
     means: Lines
     todo: Lines
@@ -187,9 +187,9 @@ class DiagnosisContent:
     spectrum: GapSpectrum | None
     profiles: dict[Name, GapProfile]
     ranking: Annotated[tuple[Rival, ...], Field(max_length=MOST_ROWS)]
-    closing: StoredText
+    closing: MessageText
     overlays: Annotated[tuple[SignalOverlay, ...], Field(max_length=3)]
-    offered: Annotated[tuple[tuple[Name, StoredText, bool], ...], Field(max_length=MOST_ROWS)]
+    offered: Annotated[tuple[tuple[Name, MessageText, bool], ...], Field(max_length=MOST_ROWS)]
     """Effects to accept: name, title with its probability, and whether the diagnosis names it."""
 
     budget: Annotated[tuple[BudgetRow, ...], Field(max_length=MOST_ROWS)]

@@ -30,7 +30,7 @@ from tissueid.messages import translated
 from tissueid.procedures.control import Control
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan
 from tissueid.procedures.output_files import json_text, write_text
-from tissueid.stored_values import StoredText, finite
+from tissueid.stored_values import MessageText, finite
 from tissueid.untrusted_input import MAX_TESTS, json_value
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class DiagnosisResult:
     answer: dict[str, Any]
     report: str
     accepted: TwinFile | None = None
-    refused: StoredText = ""
+    refused: MessageText = ""
     stamp: Stamp | None = None
     when: AwareDatetime = field(default_factory=_now)
     key: Annotated[str, Field(pattern=rf"^{KEY.pattern}$")] = ""

@@ -21,7 +21,7 @@ from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.sessions import Session
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.stored_values import LONGEST_TEXT, StoredText
+from tissueid.stored_values import LONGEST_TEXT, MessageText
 from tissueid.test_settings import TestSettings
 from tissueid.twin.effect import Stage
 
@@ -59,12 +59,12 @@ class Proposal:
     put under the probe; "" for the same tissue.
     """
 
-    title: StoredText
-    why: StoredText
-    gains: Annotated[tuple[tuple[StoredText, Finite, StoredText], ...], Field(max_length=MOST_ROWS)]
+    title: MessageText
+    why: MessageText
+    gains: Annotated[tuple[tuple[MessageText, Finite, MessageText], ...], Field(max_length=MOST_ROWS)]
     fields: Annotated[Mapping[str, Any], AfterValidator(_form_fields)] | None
-    by_hand: StoredText
-    put: StoredText = ""
+    by_hand: MessageText
+    put: MessageText = ""
 
 
 @dataclass(frozen=True)

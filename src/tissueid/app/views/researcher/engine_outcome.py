@@ -24,7 +24,7 @@ from tissueid.formatting import plain_text
 from tissueid.identification import Engine, FitReport, engine_label, engine_names, get_engine
 from tissueid.language import _, marked
 from tissueid.messages import translated
-from tissueid.stored_values import Name, StoredText, Texts
+from tissueid.stored_values import MessageText, Name, Texts
 from tissueid.untrusted_input import json_value
 
 if TYPE_CHECKING:
@@ -214,10 +214,10 @@ class EngineOutcome:
     tests: Annotated[tuple[SelectedTest, ...], Field(min_length=1, max_length=MOST_TESTS)]
     signals: tuple[Name, Name]
     report: FitReport | None = None
-    validated_on: StoredText = ""
+    validated_on: MessageText = ""
     plots: _Plots = field(default_factory=PlotData)
     findings: Texts = ()
-    refused: StoredText = ""
+    refused: MessageText = ""
     stamp: Stamp | None = None
     recommended: bool = False
     changed: Annotated[bool, Field(exclude=True)] = False
@@ -324,7 +324,7 @@ class HistoryEntry(BaseModel):
 
     time: AwareDatetime
     task: AnalysisTask
-    headline: StoredText = ""
+    headline: MessageText = ""
 
 
 class AnalysisHistory:
