@@ -42,7 +42,7 @@ _SCHEMA = pa.schema(
 
 def curves_table(curves: Iterable[tuple[str, int, SampledCurve]]) -> pd.DataFrame:
     """Return the table of curves from session, number of the test and curve."""
-    rows = [(session, test, one.name, one.direction, one.first, one.values) for session, test, one in curves]
+    rows = [(session, test, curve.name, curve.direction, curve.first, curve.values) for session, test, curve in curves]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -125,7 +125,7 @@ class GroupCurve:
 
     def as_answer(self) -> dict[str, Any]:
         """Return the known points for JSON; the abscissas are named with their units."""
-        known = np.isfinite(self.mean)
+        finite_points = np.isfinite(self.mean)
         grid = GRIDS[self.curve]
         columns = {grid.x_name: grid.x} | ({} if grid.y is None else {grid.y_name: grid.y})
         columns |= {"mean": self.mean, "low": self.low, "high": self.high}
@@ -136,7 +136,7 @@ class GroupCurve:
             "direction": self.direction,
             "count": self.count,
             "vaf_percent": finite(self.vaf_percent),
-        } | {name: finite(values[known].tolist()) for name, values in columns.items()}
+        } | {name: finite(values[finite_points].tolist()) for name, values in columns.items()}
 
 
 def group_labels(tests: pd.DataFrame, by: By) -> pd.Series:
@@ -173,16 +173,16 @@ def group_curves(
     plain = persons[persons["condition"] == reference]
     several = persons.groupby("site")["condition"].transform("nunique") > 1 if len(persons) else pd.Series(dtype=bool)
     treated = persons[several.astype(bool)] if len(persons) else persons
-    found: list[GroupCurve] = []
+    means: list[GroupCurve] = []
     for by, tests in (("site", plain), ("condition", treated), ("material", samples)):
         if len(tests):
-            found += _means(by, _with_curves(tests, by, curves))  # type: ignore[arg-type]
+            means += _means(by, _with_curves(tests, by, curves))  # type: ignore[arg-type]
     if len(samples) and len(plain):
         whole = _with_curves(plain, "site", curves).assign(group=ALL_SITES)
-        found += _means("material", whole[~whole["curve"].isin(_SURFACES)], person=True)
+        means += _means("material", whole[~whole["curve"].isin(_SURFACES)], person=True)
     if len(treated):
-        found += _changes(treated, curves, reference)
-    return tuple(found)
+        means += _changes(treated, curves, reference)
+    return tuple(means)
 
 
 def mean_and_interval(rows: Array, share: float = _LEAST_SHARE) -> tuple[Array, Array, Array]:
@@ -257,19 +257,19 @@ def _mean_of(rows: pd.DataFrame) -> Array:
     count = np.zeros(total.size)
     for curve in curves_of(rows):
         values = curve.on_grid
-        known = np.isfinite(values)
-        total[known] += values[known]
-        count += known
+        given = np.isfinite(values)
+        total[given] += values[given]
+        count += given
     mean: Array = np.divide(total, count, out=np.full(total.size, np.nan), where=count > 0)
     return mean
 
 
 def chosen(curves: Iterable[GroupCurve], by: By, name: str) -> list[GroupCurve]:
     """Return the curves of a kind of groups and a name that have a value; all sites and no product come first."""
-    found = [one for one in curves if (one.by, one.curve) == (by, name) and one.has_values]
-    return sorted(found, key=lambda one: one.group != ALL_SITES and not one.group.endswith(NO_CONDITION))
+    matching = [curve for curve in curves if (curve.by, curve.curve) == (by, name) and curve.has_values]
+    return sorted(matching, key=lambda curve: curve.group != ALL_SITES and not curve.group.endswith(NO_CONDITION))
 
 
 def directions(curves: Sequence[GroupCurve]) -> list[int]:
     """Return the directions of curves as far as there are any: both, into the tissue, out of it."""
-    return [way for way in (0, 1, -1) if any(one.direction == way for one in curves)]
+    return [way for way in (0, 1, -1) if any(curve.direction == way for curve in curves)]

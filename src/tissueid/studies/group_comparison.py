@@ -60,8 +60,8 @@ def subject_means(
             own = tests.get(name + STD_SUFFIX, pd.Series(np.nan, tests.index)).astype(float)[values.index]
             spread = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
             within = np.sqrt(np.mean(own**2) / len(values)) if len(values) and own.notna().all() else np.nan
-            known = [item for item in (spread, within) if np.isfinite(item)]
-            row[name + STD_SUFFIX] = max(known) if known else np.nan
+            errors = [item for item in (spread, within) if np.isfinite(item)]
+            row[name + STD_SUFFIX] = max(errors) if errors else np.nan
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -93,8 +93,8 @@ def one_way(means: pd.DataFrame, factor: str, parameters: Sequence[str]) -> pd.D
             if np.ptp(np.concatenate(values)) == 0.0:
                 continue
             equal = _equal_variances(values)
-            found = anova_oneway(values, use_var="equal" if equal else "unequal", welch_correction=True)
-            between = float(found.statistic) * found.df_num
+            f_test = anova_oneway(values, use_var="equal" if equal else "unequal", welch_correction=True)
+            between = float(f_test.statistic) * f_test.df_num
             centres = np.array([group.mean() for group in values])
             gaps = np.abs(np.subtract.outer(centres, centres))[np.triu_indices(len(centres), 1)]
             rows.append(
@@ -105,10 +105,10 @@ def one_way(means: pd.DataFrame, factor: str, parameters: Sequence[str]) -> pd.D
                     "levels": list(groups),
                     "groups": len(groups),
                     "subjects": sum(map(len, values)),
-                    "statistic": float(found.statistic),
-                    "p_value": float(found.pvalue),
+                    "statistic": float(f_test.statistic),
+                    "p_value": float(f_test.pvalue),
                     "p_weighted": _weighted_p(subjects, factor, name),
-                    "effect_size": between / (between + found.df_denom),
+                    "effect_size": between / (between + f_test.df_denom),
                     "method": "anova" if equal else "welch",
                     "normal": _normal(np.concatenate([group - group.mean() for group in values])),
                     "equal_variances": equal,
@@ -136,15 +136,15 @@ def general_linear(means: pd.DataFrame, factors: Sequence[str], parameters: Sequ
             if not usable or len(data) <= sum(_levels(data[factor]) for factor in usable) + 1:
                 continue
             fit = smf.ols("value ~ " + " + ".join(_term(data, factor) for factor in usable), data).fit()
-            found = anova_lm(fit, typ=2)
+            anova = anova_lm(fit, typ=2)
             rows += [
                 {
                     "site": str(site),
                     "factor": factor,
                     "parameter": name,
                     "subjects": len(data),
-                    "statistic": float(found.loc[_term(data, factor), "F"]),
-                    "p_value": float(found.loc[_term(data, factor), "PR(>F)"]),
+                    "statistic": float(anova.loc[_term(data, factor), "F"]),
+                    "p_value": float(anova.loc[_term(data, factor), "PR(>F)"]),
                     "r_squared": float(fit.rsquared),
                 }
                 for factor in usable
@@ -231,7 +231,7 @@ def mixed_model(table: pd.DataFrame, factor: str, parameters: Sequence[str]) -> 
             warnings.simplefilter("always", SingularMatrixWarning)
             fit = smf.mixedlm("value ~ C(level)", data, groups=data["subject"]).fit(reml=True)
             bounds = fit.conf_int()
-        singular = any(issubclass(one.category, SingularMatrixWarning) for one in caught)
+        singular = any(issubclass(warning.category, SingularMatrixWarning) for warning in caught)
         total = float(np.sqrt(max(fit.cov_re.iloc[0, 0], 0.0) + fit.scale))
         normal = _normal(np.asarray(fit.resid))
         for level in levels[1:]:
@@ -347,13 +347,13 @@ def materials(tests: pd.DataFrame, parameters: Sequence[str], factor: str = "mat
         values = list(groups.values())
         if len(groups) < 2 or all(np.ptp(group) == 0.0 for group in values):
             continue
-        found = anova_oneway(values, use_var="equal" if _equal_variances(values) else "unequal", welch_correction=True)
+        f_test = anova_oneway(values, use_var="equal" if _equal_variances(values) else "unequal", welch_correction=True)
         labels = np.repeat(list(groups), [len(group) for group in values])
         scale = float(np.concatenate(values).std())
         pairs = pairwise_tukeyhsd(np.concatenate(values) / scale, labels)
         first, second = np.triu_indices(len(groups), 1)
-        for place, (level, group) in enumerate(groups.items()):
-            unlike = pairs.reject[(first == place) | (second == place)]
+        for index, (level, group) in enumerate(groups.items()):
+            unlike = pairs.reject[(first == index) | (second == index)]
             rows.append(
                 {
                     "parameter": name,
@@ -361,8 +361,8 @@ def materials(tests: pd.DataFrame, parameters: Sequence[str], factor: str = "mat
                     "tests": len(group),
                     "mean": float(group.mean()),
                     "std": float(group.std(ddof=1)),
-                    "statistic": float(found.statistic),
-                    "p_value": float(found.pvalue),
+                    "statistic": float(f_test.statistic),
+                    "p_value": float(f_test.pvalue),
                     "unlike": int(unlike.sum()),
                 }
             )
@@ -383,25 +383,25 @@ def pooled_mean(values: Sequence[float], stds: Sequence[float]) -> tuple[float, 
 
     A random-effects model with the estimate of Paule and Mandel (1982).
     """
-    found = combine_effects(np.asarray(values), np.asarray(stds) ** 2, method_re="iterated")
-    return float(found.mean_effect_re), float(found.sd_eff_w_re), float(np.sqrt(found.tau2))
+    combined = combine_effects(np.asarray(values), np.asarray(stds) ** 2, method_re="iterated")
+    return float(combined.mean_effect_re), float(combined.sd_eff_w_re), float(np.sqrt(combined.tau2))
 
 
 def corrected(rows: pd.DataFrame) -> pd.DataFrame:
     """Return rows with the column ``p_corrected``: Holm's correction over all rows with a p-value."""
     if rows.empty:
         return rows
-    known = rows["p_value"].notna()
+    tested = rows["p_value"].notna()
     values = pd.Series(np.nan, rows.index)
-    if known.any():
-        values[known] = multipletests(rows.loc[known, "p_value"], method=CORRECTION)[1]
+    if tested.any():
+        values[tested] = multipletests(rows.loc[tested, "p_value"], method=CORRECTION)[1]
     rows.insert(rows.columns.get_loc("p_value") + 1, "p_corrected", values)
     return rows
 
 
 def _groups(subjects: pd.DataFrame, factor: str, name: str) -> dict[str, np.ndarray]:
-    found = subjects[[factor, name]].dropna()
-    groups = {str(key): values[name].to_numpy(float) for key, values in found.groupby(factor, sort=True)}
+    complete = subjects[[factor, name]].dropna()
+    groups = {str(key): values[name].to_numpy(float) for key, values in complete.groupby(factor, sort=True)}
     return {key: values for key, values in groups.items() if len(values) >= LEAST_PER_GROUP}
 
 

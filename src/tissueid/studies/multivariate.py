@@ -82,7 +82,7 @@ def _p_value(x: NDArray[np.float64], y: NDArray[np.float64], folds: KFold, most:
     def least(values: NDArray[np.float64]) -> float:
         return float(_held_out_errors(x, values, most, folds).min())
 
-    found = permutation_test(
+    result = permutation_test(
         (y,),
         least,
         permutation_type="pairings",
@@ -91,7 +91,7 @@ def _p_value(x: NDArray[np.float64], y: NDArray[np.float64], folds: KFold, most:
         alternative="less",
         rng=np.random.default_rng(_SEED),
     )
-    return float(found.pvalue)
+    return float(result.pvalue)
 
 
 def _held_out_errors(x: NDArray[np.float64], y: NDArray[np.float64], most: int, folds: KFold) -> NDArray[np.float64]:
@@ -122,22 +122,22 @@ def component_steps(
         new: parameters of the predicted subjects, shape (rows, parameters), centred and scaled as ``x``.
         count: number of components.
     """
-    rest, left = x, y - y.mean()
+    rest, residual = x, y - y.mean()
     steps = np.zeros((len(new), count))
-    least = _NO_COVARIANCE * float(np.linalg.norm(x) * np.linalg.norm(left))
-    for place in range(count):
-        weights = left @ rest
+    least = _NO_COVARIANCE * float(np.linalg.norm(x) * np.linalg.norm(residual))
+    for index in range(count):
+        weights = residual @ rest
         size = float(np.linalg.norm(weights))
         if size <= least:
             break
         weights = weights / size
         scores = rest @ weights
         power = float(scores @ scores)
-        loadings, share = scores @ rest / power, float(left @ scores) / power
-        found = new @ weights
-        steps[:, place] = share * found
-        rest, left = rest - np.outer(scores, loadings), left - share * scores
-        new = new - np.outer(found, loadings)
+        loadings, share = scores @ rest / power, float(residual @ scores) / power
+        projected = new @ weights
+        steps[:, index] = share * projected
+        rest, residual = rest - np.outer(scores, loadings), residual - share * scores
+        new = new - np.outer(projected, loadings)
     return steps
 
 
@@ -178,7 +178,7 @@ class KernelComponents:
     @property
     def names(self) -> list[str]:
         """Columns of the scores."""
-        return [_SCORE.format(place + 1) for place in range(len(self.shares))]
+        return [_SCORE.format(index + 1) for index in range(len(self.shares))]
 
 
 def kernel_components(
@@ -199,18 +199,18 @@ def kernel_components(
     ]
     if not parts or curves.empty:
         return ()
-    known = pd.concat(parts).merge(curves[curves["curve"].isin((KERNEL1, KERNEL2))], on=["session", "test"])
-    found = []
+    kernel_rows = pd.concat(parts).merge(curves[curves["curve"].isin((KERNEL1, KERNEL2))], on=["session", "test"])
+    components = []
     for name in (KERNEL1, KERNEL2):
-        rows = known[known["curve"] == name]
+        rows = kernel_rows[kernel_rows["curve"] == name]
         if rows.empty:
             continue
         kernels = np.stack([curve.on_grid for curve in curves_of(rows)])
         inside: Mask = np.asarray(np.isfinite(kernels).all(axis=0))
         if len(rows) < LEAST_TESTS or not inside.any() or not np.ptp(kernels[:, inside], axis=0).any():
             continue
-        found.append(_components(name, rows, kernels, inside))
-    if not known.empty and not found:
+        components.append(_components(name, rows, kernels, inside))
+    if not kernel_rows.empty and not components:
         remarks.append(
             Message(
                 "study.few_for_components",
@@ -218,7 +218,7 @@ def kernel_components(
                 least=LEAST_TESTS,
             )
         )
-    return tuple(found)
+    return tuple(components)
 
 
 def component_table(components: Sequence[KernelComponents]) -> pd.DataFrame:
@@ -232,19 +232,24 @@ def component_table(components: Sequence[KernelComponents]) -> pd.DataFrame:
         ``method``, ``normal`` as ``group_comparison.one_way``.
     """
     rows: list[dict[str, Any]] = []
-    for one in components:
-        units = one.scores.assign(unit=np.where(one.scores["sample"], np.arange(len(one.scores)), -1))
-        means = units.groupby(["group", "subject", "sample", "unit"], as_index=False)[one.names].mean()
+    for component in components:
+        units = component.scores.assign(unit=np.where(component.scores["sample"], np.arange(len(component.scores)), -1))
+        means = units.groupby(["group", "subject", "sample", "unit"], as_index=False)[component.names].mean()
         kinds = {ALL_GROUPS: means}
         if means["sample"].any() and means.loc[~means["sample"], "group"].nunique() > 1:
             kinds[SUBJECTS] = means[~means["sample"]]  # materials differ far more than sites
         for among, chosen in kinds.items():
-            tested = one_way(chosen.assign(site=among), "group", one.names)
-            found = {} if tested.empty else tested.set_index("parameter")[list(_KEPT)].to_dict("index")
+            tested = one_way(chosen.assign(site=among), "group", component.names)
+            statistics = {} if tested.empty else tested.set_index("parameter")[list(_KEPT)].to_dict("index")
             rows += [
-                {"kernel": one.curve, "component": place + 1, "share": float(one.shares[place]), "among": among}
-                | found.get(name, {})
-                for place, name in enumerate(one.names)
+                {
+                    "kernel": component.curve,
+                    "component": index + 1,
+                    "share": float(component.shares[index]),
+                    "among": among,
+                }
+                | statistics.get(name, {})
+                for index, name in enumerate(component.names)
             ]
     return pd.DataFrame(rows).rename(columns={"subjects": "means"})
 
@@ -256,30 +261,30 @@ def score_table(components: Sequence[KernelComponents]) -> pd.DataFrame:
         columns ``kernel``, ``level`` (the group), ``tests``, and for each component ``score_1``, ``score_1_std``.
     """
     rows = []
-    for one in components:
-        for group, tests in one.scores.groupby("group", sort=True):
-            row = {"kernel": one.curve, "level": str(group), "tests": len(tests)}
-            for name in one.names:
+    for component in components:
+        for group, tests in component.scores.groupby("group", sort=True):
+            row = {"kernel": component.curve, "level": str(group), "tests": len(tests)}
+            for name in component.names:
                 row |= {name: float(tests[name].mean()), f"{name}_std": float(tests[name].std(ddof=1))}
             rows.append(row)
     return pd.DataFrame(rows)
 
 
 def _components(name: str, rows: pd.DataFrame, kernels: Array, inside: Mask) -> KernelComponents:
-    known = kernels[:, inside]
-    found = PCA(min(COMPONENTS, *known.shape), svd_solver="full").fit(known)
-    scored = found.transform(known)
+    complete = kernels[:, inside]
+    analysis = PCA(min(COMPONENTS, *complete.shape), svd_solver="full").fit(complete)
+    scored = analysis.transform(complete)
     spread = scored.std(axis=0, ddof=1)
     kept = spread > 1e-9 * spread.max(initial=0.0)
     spread = spread[kept]
     size = GRIDS[name].x.size
     mean, shapes = np.full(size, np.nan), np.full((spread.size, size), np.nan)
-    mean[inside] = found.mean_
-    shapes[:, inside] = spread[:, None] * found.components_[kept]
+    mean[inside] = analysis.mean_
+    shapes[:, inside] = spread[:, None] * analysis.components_[kept]
     scores = rows[["session", "test", "subject", "group", "sample"]].reset_index(drop=True)
-    for place, values in enumerate((scored[:, kept] / spread).T):
-        scores[_SCORE.format(place + 1)] = values
-    return KernelComponents(name, mean, shapes, found.explained_variance_ratio_[kept], scores)
+    for index, values in enumerate((scored[:, kept] / spread).T):
+        scores[_SCORE.format(index + 1)] = values
+    return KernelComponents(name, mean, shapes, analysis.explained_variance_ratio_[kept], scores)
 
 
 def _of_persons(tests: pd.DataFrame) -> pd.Series:

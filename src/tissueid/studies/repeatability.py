@@ -73,13 +73,13 @@ def variation(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
 
 def variation_by_condition(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
     """Return ``variation`` of the tests under each condition, with the column ``condition`` ("" without one)."""
-    found = []
+    tables = []
     for condition, tests in table.groupby(table["condition"].fillna(""), sort=True):
         rows = variation(tests, parameters)
         if not rows.empty:
             rows.insert(1, "condition", str(condition))
-            found.append(rows)
-    return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
+            tables.append(rows)
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def reliability(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
@@ -124,8 +124,8 @@ def absolute_agreement(values: NDArray[np.float64]) -> tuple[float, float, float
     n, k = values.shape
     subject, repeat = (index.ravel() for index in np.indices(values.shape))
     long = pd.DataFrame({"value": values.ravel(), "subject": subject, "repeat": repeat})
-    found = anova_lm(smf.ols("value ~ C(subject) + C(repeat)", long).fit())
-    rows, columns, rest = (found["sum_sq"] / found["df"]).to_numpy()
+    anova = anova_lm(smf.ols("value ~ C(subject) + C(repeat)", long).fit())
+    rows, columns, rest = (anova["sum_sq"] / anova["df"]).to_numpy()
     icc = (rows - rest) / (rows + (k - 1) * rest + k / n * (columns - rest))
     if icc >= 1.0:
         return 1.0, 1.0, 1.0
@@ -164,8 +164,8 @@ def first_test(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
 
 def paired_difference(before: NDArray[np.float64], after: NDArray[np.float64]) -> dict[str, float]:
     """Return the mean difference ``after - before`` of paired values (n,), with interval, effect size and p-value."""
-    found = stats.ttest_rel(after, before)
-    low, high = found.confidence_interval(CONFIDENCE)
+    t_test = stats.ttest_rel(after, before)
+    low, high = t_test.confidence_interval(CONFIDENCE)
     change = after - before
     spread = float(change.std(ddof=1))
     return {
@@ -174,7 +174,7 @@ def paired_difference(before: NDArray[np.float64], after: NDArray[np.float64]) -
         "low": float(low),
         "high": float(high),
         "effect_size": float(change.mean()) / spread if spread else np.nan,
-        "p_value": float(found.pvalue),
+        "p_value": float(t_test.pvalue),
     }
 
 
@@ -186,10 +186,10 @@ def _relative_spread(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.
 def _interval(values: NDArray[np.float64], statistic: object) -> tuple[float, float]:
     if len(values) < 3 or np.ptp(values) == 0.0:
         return np.nan, np.nan
-    found = stats.bootstrap(
+    result = stats.bootstrap(
         (values,), statistic, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, rng=np.random.default_rng(_SEED)
     )
-    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+    return float(result.confidence_interval.low), float(result.confidence_interval.high)
 
 
 def _complete(table: pd.DataFrame, name: str) -> pd.DataFrame:

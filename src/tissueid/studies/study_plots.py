@@ -63,12 +63,12 @@ def subjects_plot(table: pd.DataFrame, name: str) -> Plot:
     subjects = sorted(table["subject"].unique())
     sites = sorted(table["site"].unique())
     parts = []
-    for place, site in enumerate(sites):
+    for index, site in enumerate(sites):
         groups = table[table["site"] == site].groupby("subject")[name]
         mean, std = groups.mean() * factor, groups.std(ddof=1).fillna(0.0) * factor
-        x = np.array([subjects.index(who) + 1.0 for who in mean.index]) + _offset(place, len(sites))
+        x = np.array([subjects.index(who) + 1.0 for who in mean.index]) + _offset(index, len(sites))
         y, half = mean.to_numpy(), std.to_numpy()
-        parts.append(_bars(x, y, half, str(site), place))
+        parts.append(_bars(x, y, half, str(site), index))
     letters = sum(len(str(who)) + 1 for who in subjects)
     every = -(-letters // _SUBJECT_LETTERS)
     ticks = tuple((k + 1.0, Verbatim("" if k % every else str(who))) for k, who in enumerate(subjects))
@@ -88,17 +88,17 @@ def groups_plot(means: pd.DataFrame, factor: str, name: str) -> Plot:
     sites = sorted(means["site"].unique())
     levels = sorted(means[factor].dropna().astype(str).unique())
     parts = []
-    for place, level in enumerate(levels):
+    for index, level in enumerate(levels):
         x, y, half = [], [], []
         for number, site in enumerate(sites):
             chosen = (means["site"] == site) & (means[factor].astype(str) == level)
             values = means.loc[chosen, name].dropna().to_numpy() * scale
             if len(values):
-                x.append(number + 1.0 + _offset(place, len(levels)))
+                x.append(number + 1.0 + _offset(index, len(levels)))
                 y.append(values.mean())
                 half.append(CONFIDENCE * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0)
         centre, reach = np.array(y), np.array(half)
-        parts.append(_bars(np.array(x), centre, reach, level, place))
+        parts.append(_bars(np.array(x), centre, reach, level, index))
     ticks = tuple((k + 1.0, _in_lines(str(site))) for k, site in enumerate(sites))
     return Plot(marked("Groups by site"), Axis("Site", ticks=ticks), axis, tuple(parts))
 
@@ -108,20 +108,20 @@ def regression_plot(means: pd.DataFrame, regressor: str, name: str, rows: pd.Dat
     axis, scale = parameter_axis(name)
     abscissa, factor = parameter_axis(regressor)
     parts = []
-    for place, site in enumerate(sorted(means["site"].unique())):
+    for index, site in enumerate(sorted(means["site"].unique())):
         own = means[means["site"] == site].dropna(subset=[name, regressor])
         x = own[regressor].to_numpy(float)
         if not x.size:
             continue
         points = x * factor, own[name].to_numpy() * scale
-        marker = MARKERS[place % len(MARKERS)]
-        parts.append(Curve(*points, Verbatim(str(site)), _colour(place), "points", marker=marker))
+        marker = MARKERS[index % len(MARKERS)]
+        parts.append(Curve(*points, Verbatim(str(site)), _colour(index), "points", marker=marker))
         line = rows[(rows["site"] == str(site)) & (rows["parameter"] == name) & (rows["factor"] == regressor)]
         if len(line):
             ends = np.array([x.min(), x.max()])
             fitted = line["intercept"].iloc[0] + line["slope"].iloc[0] * ends
-            kind = _LINES[place // len(COLOURS) % len(_LINES)]
-            parts.append(Curve(ends * factor, fitted * scale, "", _colour(place), kind))
+            kind = _LINES[index // len(COLOURS) % len(_LINES)]
+            parts.append(Curve(ends * factor, fitted * scale, "", _colour(index), kind))
     return Plot(marked("Regression on a value of the subjects"), abscissa, axis, tuple(parts))
 
 
@@ -130,12 +130,12 @@ def first_test_plot(table: pd.DataFrame, name: str) -> Plot:
     axis, factor = parameter_axis(name)
     groups: dict[str, np.ndarray] = {}
     for site, tests in table.sort_values("repeat").groupby("site", sort=True):
-        found = [
+        changes = [
             (values.iloc[1:].mean() - values.iloc[0]) * factor
             for _subject, values in tests.groupby("subject")[name]
             if len(values) > 1
         ]
-        groups[str(site)] = np.array(found)
+        groups[str(site)] = np.array(changes)
     shown = Axis(axis.label, axis.unit, zero=True)
     return _groups_plot(marked("Later tests less the first"), marked("Site"), shown, groups)
 
@@ -145,8 +145,8 @@ def variation_plot(rows: pd.DataFrame) -> Plot:
     means = rows.groupby("parameter", sort=False)[["individual_cv", "population_cv"]].mean() * 100.0
     places = np.arange(1.0, len(means) + 1.0)
     ticks = tuple(
-        (place, _in_lines(_(label_and_unit(str(name))[0])))
-        for place, name in zip(places.tolist(), means.index, strict=True)
+        (position, _in_lines(_(label_and_unit(str(name))[0])))
+        for position, name in zip(places.tolist(), means.index, strict=True)
     )
     parts = (
         Bars(places - 0.2, means["individual_cv"].to_numpy(), 0.36, marked("within a subject"), "measured"),
@@ -178,7 +178,7 @@ def conditions_plot(means: pd.DataFrame, before: str, name: str) -> Plot:
             for site, own in pairs.groupby(level="site"):
                 change = 100.0 * (own[condition] / own[before] - 1.0)
                 groups[str(condition) or _(NO_CONDITION), str(site)] = change.to_numpy()
-    conditions, sites = ({key[place] for key in groups} for place in (0, 1))
+    conditions, sites = ({key[part] for key in groups} for part in (0, 1))
     label = _("Condition")
     if len(conditions) == 1:  # what all groups share stands in the label
         label, named = f"{label}: {conditions.pop()}", {site: values for (_condition, site), values in groups.items()}
@@ -201,11 +201,11 @@ def nonlinearity_plot(means: pd.DataFrame, samples: pd.DataFrame) -> Plot:
     parts = []
     materials = list(samples.groupby(MATERIAL, sort=True)) if len(samples) else []
     for groups, kinds in ((list(means.groupby("site", sort=True)), _LINES), (materials, _MATERIAL_LINES)):
-        for place, (key, rows) in enumerate(groups):
+        for index, (key, rows) in enumerate(groups):
             c1, c2 = float(rows["c1_m"].mean()), float(rows["c2_per_n"].mean())
-            kind = kinds[place // len(COLOURS) % len(kinds)]
+            kind = kinds[index // len(COLOURS) % len(kinds)]
             depth = 1e3 * c1 * (1.0 - np.exp(-c2 * force))
-            parts.append(Curve(force, depth, Verbatim(str(key)), _colour(place), kind))
+            parts.append(Curve(force, depth, Verbatim(str(key)), _colour(index), kind))
     return Plot(
         marked("Static nonlinearity of the mean parameters"),
         Axis(marked("Static force"), "N"),
@@ -216,25 +216,25 @@ def nonlinearity_plot(means: pd.DataFrame, samples: pd.DataFrame) -> Plot:
 
 def _groups_plot(title: str, label: str, axis: Axis, groups: dict[str, np.ndarray]) -> Plot:
     parts = []
-    for place, values in enumerate(groups.values()):
+    for index, values in enumerate(groups.values()):
         if not len(values):
             continue
         reach = min(0.18, 0.03 * len(values))
         spread = np.linspace(-reach, reach, len(values)) if len(values) > 1 else np.zeros(1)
-        x = place + 1.0 + _POINTS_AT + spread
+        x = index + 1.0 + _POINTS_AT + spread
         parts.append(Curve(x, values, "", "muted", "circles", width=0.8))
         half = values.std(ddof=1) if len(values) > 1 else 0.0
         mean = np.array([values.mean()])
-        x = np.array([place + 1.0 + _MEAN_AT])
+        x = np.array([index + 1.0 + _MEAN_AT])
         parts.append(Curve(x, mean, "", "model", "bars", mean - half, mean + half, width=1.2))
     ticks = tuple((k + 1.0, _in_lines(site)) for k, site in enumerate(groups))
     limits = (0.4, len(groups) + 0.6) if groups else None
     return Plot(title, Axis(label, ticks=ticks, limits=limits), axis, tuple(parts))
 
 
-def _bars(x: np.ndarray, y: np.ndarray, half: np.ndarray, name: str, place: int) -> Curve:
-    marker = MARKERS[place % len(MARKERS)]
-    return Curve(x, y, Verbatim(name), _colour(place), "bars", y - half, y + half, marker=marker)
+def _bars(x: np.ndarray, y: np.ndarray, half: np.ndarray, name: str, index: int) -> Curve:
+    marker = MARKERS[index % len(MARKERS)]
+    return Curve(x, y, Verbatim(name), _colour(index), "bars", y - half, y + half, marker=marker)
 
 
 def _in_lines(name: str) -> Verbatim:
@@ -242,12 +242,12 @@ def _in_lines(name: str) -> Verbatim:
     return Verbatim("\n".join(textwrap.wrap(name, _TICK_LETTERS, break_long_words=False)))
 
 
-def _offset(place: int, count: int) -> float:
-    return 0.5 * (place / max(count - 1, 1) - 0.5) if count > 1 else 0.0
+def _offset(index: int, count: int) -> float:
+    return 0.5 * (index / max(count - 1, 1) - 0.5) if count > 1 else 0.0
 
 
-def _colour(place: int) -> str:
-    return COLOURS[place % len(COLOURS)]
+def _colour(index: int) -> str:
+    return COLOURS[index % len(COLOURS)]
 
 
 _DEPTH = Axis(marked("Depth"), "mm")
@@ -284,24 +284,24 @@ def curve_plot(curves: Sequence[GroupCurve], groups: Sequence[str]) -> Plot:
         y, factor = Axis(Message("plot.change", "Change: {name}", name=y.label), "%", zero=True), 1.0
     parts = []
     named = [group for group in groups if group != ALL_SITES]
-    for one in curves:
+    for curve in curves:
         style: tuple[str, Kind] = ("text", "line")
-        if one.group != ALL_SITES:
-            place = named.index(one.group)
-            style = COLOURS[place % (len(COLOURS) - 1)], _KINDS[place % len(_KINDS)]
-        at = into * GRIDS[one.curve].x
-        if one.members is not None:
-            rows = np.column_stack([one.members, np.full(len(one.members), np.nan)])  # NaN parts the lines
+        if curve.group != ALL_SITES:
+            index = named.index(curve.group)
+            style = COLOURS[index % (len(COLOURS) - 1)], _KINDS[index % len(_KINDS)]
+        at = into * GRIDS[curve.curve].x
+        if curve.members is not None:
+            rows = np.column_stack([curve.members, np.full(len(curve.members), np.nan)])  # NaN parts the lines
             every = np.tile(np.append(at, np.nan), len(rows))
             parts.append(Curve(every, factor * rows.ravel(), "", style[0], width=0.5, opacity=_PALE))
-        known = np.flatnonzero(np.isfinite(one.mean))
-        some = slice(int(known[0]), int(known[-1]) + 1) if known.size else slice(0, 0)
-        mean = factor * one.mean[some]
-        low, high = (np.where(np.isfinite(edge[some]), factor * edge[some], mean) for edge in (one.low, one.high))
+        finite = np.flatnonzero(np.isfinite(curve.mean))
+        some = slice(int(finite[0]), int(finite[-1]) + 1) if finite.size else slice(0, 0)
+        mean = factor * curve.mean[some]
+        low, high = (np.where(np.isfinite(edge[some]), factor * edge[some], mean) for edge in (curve.low, curve.high))
         if y.log:
             low = np.maximum(low, 0.2 * mean)  # an interval of a few subjects can reach below zero
-        dots = "o" if known.size == 1 else ""
-        parts.append(Curve(at[some], mean, name_of(one), *style, low=low, high=high, marker=dots))
+        dots = "o" if finite.size == 1 else ""
+        parts.append(Curve(at[some], mean, name_of(curve), *style, low=low, high=high, marker=dots))
     return Plot(title_of(curves[0], groups), x, y, tuple(parts))
 
 
@@ -342,8 +342,8 @@ def surface_plot(name: str, values: Array, title: str, limit: float | None = Non
         first, second = np.triu_indices(LAGS)
         whole = np.full((LAGS, LAGS), np.nan)
         whole[first, second] = whole[second, first] = values
-        known = slice(0, int(np.flatnonzero(np.isfinite(np.diag(whole)))[-1]) + 1)
-        surface = Surface(lag_ms[known], lag_ms[known], factor * whole[known, known], "", axis.unit, limit=limit)
+        inside = slice(0, int(np.flatnonzero(np.isfinite(np.diag(whole)))[-1]) + 1)
+        surface = Surface(lag_ms[inside], lag_ms[inside], factor * whole[inside, inside], "", axis.unit, limit=limit)
         ends = Axis(marked("First lag"), "ms"), Axis(marked("Second lag"), "ms")
         return Plot(title, *ends, (surface,), square=True)
     rows = values.reshape(-1, LAGS)
@@ -357,50 +357,50 @@ def surface_plot(name: str, values: Array, title: str, limit: float | None = Non
 def shared_limit(curves: Sequence[GroupCurve]) -> float:
     """Return the largest magnitude of kernels in the unit that is shown: the scale of their colours."""
     factor = _AXES[curves[0].curve][3]
-    return factor * max(float(np.nanmax(np.abs(one.mean))) for one in curves)
+    return factor * max(float(np.nanmax(np.abs(curve.mean))) for curve in curves)
 
 
-def component_panels(found: KernelComponents) -> list[Plot]:
+def component_panels(components: KernelComponents) -> list[Plot]:
     """Return the mean kernel and the principal components, which share the scale of the colours (second order)."""
-    titles = [_MEAN, *_component_titles(found)]
-    factor = _AXES[found.curve][3]
-    limits = [factor * float(np.nanmax(np.abs(rows))) for rows in (found.mean, found.shapes)]
+    titles = [_MEAN, *_component_titles(components)]
+    factor = _AXES[components.curve][3]
+    limits = [factor * float(np.nanmax(np.abs(rows))) for rows in (components.mean, components.shapes)]
     return [
-        surface_plot(found.curve, values, title, limits[min(place, 1)])
-        for place, (title, values) in enumerate(zip(titles, (found.mean, *found.shapes), strict=True))
+        surface_plot(components.curve, values, title, limits[min(index, 1)])
+        for index, (title, values) in enumerate(zip(titles, (components.mean, *components.shapes), strict=True))
     ]
 
 
-def component_curves(found: KernelComponents) -> Plot:
+def component_curves(components: KernelComponents) -> Plot:
     """Return the mean first-order kernel and its change by one standard deviation of each component."""
-    x, into, y, factor = _AXES[found.curve]
-    at = into * GRIDS[found.curve].x
-    known = np.isfinite(found.mean)
-    parts = [Curve(at[known], factor * found.mean[known], _MEAN, "text", width=1.3)]
+    x, into, y, factor = _AXES[components.curve]
+    at = into * GRIDS[components.curve].x
+    finite = np.isfinite(components.mean)
+    parts = [Curve(at[finite], factor * components.mean[finite], _MEAN, "text", width=1.3)]
     kinds: tuple[Kind, ...] = ("line", "dashed", "dashdot")
-    for place, (title, values) in enumerate(zip(_component_titles(found), found.shapes, strict=True)):
-        parts.append(Curve(at[known], factor * values[known], title, COLOURS[place], kinds[place % len(kinds)]))
+    for index, (title, values) in enumerate(zip(_component_titles(components), components.shapes, strict=True)):
+        parts.append(Curve(at[finite], factor * values[finite], title, COLOURS[index], kinds[index % len(kinds)]))
     return Plot(marked("Principal components of the first-order kernel"), x, y, tuple(parts))
 
 
-def scores_plot(found: KernelComponents) -> Plot:
+def scores_plot(components: KernelComponents) -> Plot:
     """Return the scores of the first two components of each test, by group."""
-    second = found.names[min(1, len(found.names) - 1)]
+    second = components.names[min(1, len(components.names) - 1)]
     axes = [
-        Axis(Message("plot.score", "Score of component {place}", place=place), "SD", zero=True)
-        for place in (1, min(2, len(found.names)))
+        Axis(Message("plot.score", "Score of component {place}", place=index), "SD", zero=True)
+        for index in (1, min(2, len(components.names)))
     ]
     parts = []
-    for place, (group, tests) in enumerate(found.scores.groupby("group", sort=True)):
-        style = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
+    for index, (group, tests) in enumerate(components.scores.groupby("group", sort=True)):
+        style = COLOURS[index % len(COLOURS)], MARKERS[index % len(MARKERS)]
         x, y = tests["score_1"].to_numpy(), tests[second].to_numpy()
         parts.append(Curve(x, y, Verbatim(str(group)), style[0], "points", marker=style[1]))
     title = marked("Scores of the first two components")
     return Plot(title, axes[0], axes[1], tuple(parts))
 
 
-def _component_titles(found: KernelComponents) -> list[str]:
+def _component_titles(components: KernelComponents) -> list[str]:
     return [
-        Message("plot.component", "component {place}, {percent:.0f} %", place=place + 1, percent=100.0 * float(share))
-        for place, share in enumerate(found.shares)
+        Message("plot.component", "component {place}, {percent:.0f} %", place=index + 1, percent=100.0 * float(share))
+        for index, share in enumerate(components.shares)
     ]

@@ -210,8 +210,8 @@ def _of(rows: pd.DataFrame, column: str, value: str) -> pd.DataFrame:
 
 def _missing(sites: Sequence[str], rows: pd.DataFrame) -> Listing | None:
     """Return the sites without a row; None where there is none."""
-    known = set() if rows.empty else set(rows["site"])
-    lacking = tuple(Verbatim(site) for site in sites if site not in known)
+    present = set() if rows.empty else set(rows["site"])
+    lacking = tuple(Verbatim(site) for site in sites if site not in present)
     return Listing(lacking, between="; ", last="; ") if lacking else None
 
 
@@ -238,12 +238,12 @@ has its own or none."""
 
 def parameters_answer(parameters: tuple[str, ...], tables: Mapping[str, pd.DataFrame]) -> dict[str, dict[str, Any]]:
     """Return coefficients of variation, ICC and minimal detectable change by parameter: means of the sites, SI."""
-    found: dict[str, dict[str, Any]] = {name: dict.fromkeys(_MEANS) for name in parameters}
+    answer: dict[str, dict[str, Any]] = {name: dict.fromkeys(_MEANS) for name in parameters}
     for key, (table, column) in _MEANS.items():
         if table in tables:
             for name, value in tables[table].groupby("parameter")[column].mean().items():
-                found.setdefault(str(name), dict.fromkeys(_MEANS))[key] = None if pd.isna(value) else float(value)
-    return found
+                answer.setdefault(str(name), dict.fromkeys(_MEANS))[key] = None if pd.isna(value) else float(value)
+    return answer
 
 
 def comparisons_answer(tables: Mapping[str, pd.DataFrame]) -> list[dict[str, Any]]:
@@ -367,10 +367,10 @@ def study_statistics(
         after: condition that is compared with it; all others if not given.
         margin: relative margin of equivalence.
     """
-    found = usable_tests(table)
-    remarks = list(found.remarks)
-    sample = found.used[MATERIAL].notna() if MATERIAL in found.used else pd.Series(False, found.used.index)
-    used, samples = found.used[~sample].copy(), found.used[sample].copy()
+    usable = usable_tests(table)
+    remarks = list(usable.remarks)
+    sample = usable.used[MATERIAL].notna() if MATERIAL in usable.used else pd.Series(False, usable.used.index)
+    used, samples = usable.used[~sample].copy(), usable.used[sample].copy()
     parameters = parameters_used(used if len(used) else samples, remarks)
     keys = ("subject", "site", "condition")
     linear = [name for name in LINEAR if name in used and used[name].notna().any()]
@@ -409,7 +409,7 @@ def study_statistics(
             )
     components: tuple[KernelComponents, ...] = ()
     groups: tuple[GroupCurve, ...] = ()
-    if curves is not None and len(found.used):
+    if curves is not None and len(usable.used):
         groups = group_curves(used, samples, curves, str(plain["condition"].iloc[0]) if len(plain) else before)
         components = kernel_components(used, samples, curves, remarks)
         tables |= {"kernel_components": component_table(components), "kernel_scores": score_table(components)}
@@ -417,7 +417,7 @@ def study_statistics(
     tables = {key: rows for key, rows in tables.items() if not rows.empty}
     thesis = thesis_tables(own, tables, parameters)
     return StudyStatistics(
-        used, means, tuple(parameters), tables, tuple(remarks), found.left_out, samples, thesis, groups, components
+        used, means, tuple(parameters), tables, tuple(remarks), usable.left_out, samples, thesis, groups, components
     )
 
 
@@ -453,8 +453,8 @@ def _between_subjects(
         remarks += no_regressions(tables["regressions"], values, sites)
     responses = [*values, *(name for name in chosen if own[name].nunique() == 2 and name != "age_group")]
     if responses:
-        tables["partial_least_squares"] = found = partial_least_squares(own, responses, parameters)
-        if lacking := [name for name in responses if _missing(sites, _of(found, "response", name))]:
+        tables["partial_least_squares"] = least_squares = partial_least_squares(own, responses, parameters)
+        if lacking := [name for name in responses if _missing(sites, _of(least_squares, "response", name))]:
             remarks.append(
                 Message(
                     "study.few_for_least_squares",
@@ -478,9 +478,9 @@ def _conditions(
     others = [after] if after is not None else sorted(set(means["condition"]) - {before})
     if not others:
         return {}
-    found = _joined([efficacy(means, before, other, parameters, margin) for other in others])
-    remarks += no_pairs(found, means, before, others)
-    return {"efficacy": found}
+    rows = _joined([efficacy(means, before, other, parameters, margin) for other in others])
+    remarks += no_pairs(rows, means, before, others)
+    return {"efficacy": rows}
 
 
 def too_few_repeats(plain: pd.DataFrame) -> list[Message]:

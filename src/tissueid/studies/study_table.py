@@ -127,11 +127,11 @@ def labels_of(names: Iterable[str]) -> Listing:
 
 def parameters_of(table: pd.DataFrame) -> list[str]:
     """Return the columns of the engine's parameters, in the order of the table."""
-    known = {*KEYS, *DESCRIPTION, *DEMOGRAPHICS}
+    described = {*KEYS, *DESCRIPTION, *DEMOGRAPHICS}
     return [
         str(name)
         for name in table
-        if name not in known
+        if name not in described
         and not str(name).endswith(STD_SUFFIX)
         and f"{name}{STD_SUFFIX}" in table
         and table[name].notna().any()
@@ -160,13 +160,13 @@ def subgroup(table: pd.DataFrame, conditions: Sequence[str]) -> pd.DataFrame:
     """
     for condition in conditions:
         name, equals, value = condition.partition("=")
-        known = [*subject_columns(table), "site"]
-        if not equals or name not in known:
+        columns = [*subject_columns(table), "site"]
+        if not equals or name not in columns:
             raise UnusableInputError(
                 "study.subgroup",
                 "{condition}: give NAME=VALUE or NAME=LOW:HIGH with one of {known}",
                 condition=Verbatim(clean(condition)[:_SHOWN]),
-                known=joined(map(Verbatim, known)),
+                known=joined(map(Verbatim, columns)),
             )
         try:
             low, high = (float(edge) for edge in value.split(":")) if ":" in value else (float(value), float(value))
@@ -179,7 +179,9 @@ def subgroup(table: pd.DataFrame, conditions: Sequence[str]) -> pd.DataFrame:
                 "study.empty_subgroup",
                 "no subject has {condition}; values: {known}",
                 condition=Verbatim(clean(condition)[:_SHOWN]),
-                known=joined(Verbatim(clean(str(one))[:_SHOWN]) for one in sorted(set(table[name].dropna()))[:_SHOWN]),
+                known=joined(
+                    Verbatim(clean(str(item))[:_SHOWN]) for item in sorted(set(table[name].dropna()))[:_SHOWN]
+                ),
             )
         table = table[kept | sample]
     return table
@@ -194,17 +196,17 @@ def read_subjects(path: Path) -> pd.DataFrame:
     try:
         if path.stat().st_size > _LARGEST_SUBJECTS:
             raise UnusableInputError("study.subjects_size", "{path} is too large", path=str(path))
-        found = pd.read_csv(path, dtype={"subject": str}, nrows=1_000_000)
+        subjects = pd.read_csv(path, dtype={"subject": str}, nrows=1_000_000)
     except (OSError, ValueError, pd.errors.ParserError) as error:
         why = Verbatim(str(error).splitlines()[0])
         raise UnusableInputError(
             "study.subjects_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why
         ) from error
-    if "subject" not in found or len(found.columns) > _MOST_COLUMNS:
+    if "subject" not in subjects or len(subjects.columns) > _MOST_COLUMNS:
         raise UnusableInputError("study.subjects_column", "{path} must have a column 'subject'", path=str(path))
-    if found["subject"].isna().any() or found["subject"].duplicated().any():
+    if subjects["subject"].isna().any() or subjects["subject"].duplicated().any():
         raise UnusableInputError("study.subjects_twice", "in {path} each row must name another subject", path=str(path))
-    return found
+    return subjects
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:

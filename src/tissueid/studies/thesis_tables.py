@@ -96,7 +96,7 @@ def thesis_tables(
     """
     if tuple(parameters) != THESIS_SIX or means.empty or not set(SITES) & set(means["site"]):
         return {}
-    found = {
+    results = {
         "7.1": _coefficients(tables.get("variation"), "individual_cv", INDIVIDUAL, PRINTED_MEANS[0]),
         "7.2": _coefficients(tables.get("variation"), "population_cv", POPULATION, PRINTED_MEANS[1]),
         "7.3a": _least(tables.get("groups"), ("p_value", "p_corrected"), "thesis_p", SIGNIFICANT),
@@ -107,7 +107,7 @@ def thesis_tables(
         "7.4": _least_squares(tables.get("partial_least_squares")),
         "7.5": _subgroup(means),
     }
-    return {key: rows for key, rows in found.items() if not rows.empty}
+    return {key: rows for key, rows in results.items() if not rows.empty}
 
 
 def _coefficients(
@@ -116,22 +116,22 @@ def _coefficients(
     if rows is None:
         return pd.DataFrame()
     own = rows[rows["site"].isin(SITES)]
-    found = []
-    for place, name in enumerate(THESIS_SIX):
+    coefficients = []
+    for index, name in enumerate(THESIS_SIX):
         values = own[own["parameter"] == name].set_index("site")
         for site, short in SITES.items():
             if site in values.index:
                 row = values.loc[site]
-                found.append(
+                coefficients.append(
                     _row(short, name, row[column], row[f"{column}_low"], row[f"{column}_high"])
-                    | {"thesis": thesis[short][place], "ratio": row[column] / thesis[short][place]}
+                    | {"thesis": thesis[short][index], "ratio": row[column] / thesis[short][index]}
                 )
         if len(values):
             middle = float(values[column].mean())
-            found.append(
-                _row(MEAN_SITE, name, middle, None, None) | {"thesis": mean[place], "ratio": middle / mean[place]}
+            coefficients.append(
+                _row(MEAN_SITE, name, middle, None, None) | {"thesis": mean[index], "ratio": middle / mean[index]}
             )
-    return pd.DataFrame(found)
+    return pd.DataFrame(coefficients)
 
 
 def _row(site: str, name: str, value: float, low: float | None, high: float | None) -> dict[str, object]:
@@ -142,19 +142,19 @@ def _least(
     rows: pd.DataFrame | None, columns: Sequence[str], name: str, thesis: Mapping[tuple[str, str], str]
 ) -> pd.DataFrame:
     """Return the row with the least value of the first column for each factor and site of the thesis."""
-    found = []
+    results = []
     places = {short: site for site, short in SITES.items()}
     for (factor, short), text in thesis.items():
         own = pd.DataFrame() if rows is None else rows[(rows["site"] == places[short]) & (rows["factor"] == factor)]
         if len(own):
             least = own.loc[own[columns[0]].idxmin()]
             values = {column: least[column] for column in ("parameter", *columns)}
-            found.append({"site": short, "factor": factor} | values | {name: text})
-    return pd.DataFrame(found)
+            results.append({"site": short, "factor": factor} | values | {name: text})
+    return pd.DataFrame(results)
 
 
 def _regressions(rows: pd.DataFrame | None) -> pd.DataFrame:
-    found = []
+    results = []
     for factor, text in SIGNIFICANT_VALUES.items():
         for site, short in SITES.items():
             if "anterior" not in site or rows is None:
@@ -163,7 +163,7 @@ def _regressions(rows: pd.DataFrame | None) -> pd.DataFrame:
             for name in ("scaled_mass_s2", "natural_frequency_rad_per_s"):
                 if name in own.index:
                     row = own.loc[name]
-                    found.append(
+                    results.append(
                         {
                             "site": short,
                             "factor": factor,
@@ -175,7 +175,7 @@ def _regressions(rows: pd.DataFrame | None) -> pd.DataFrame:
                             "thesis_p": text,
                         }
                     )
-    return pd.DataFrame(found)
+    return pd.DataFrame(results)
 
 
 def _least_squares(rows: pd.DataFrame | None) -> pd.DataFrame:
@@ -206,12 +206,12 @@ def _subgroup(means: pd.DataFrame) -> pd.DataFrame:
     own = means[chosen & means["site"].isin(("left anterior forearm", "left posterior forearm"))]
     side = own["site"].map({"left anterior forearm": "anterior", "left posterior forearm": "posterior"})
     rows = one_way(own.assign(site="LA, LP", side=side), "side", list(SUBGROUP))
-    found = []
+    comparisons = []
     for row in rows.to_dict("records"):
         name = row["parameter"]
         groups = own.groupby(side)[name]
         anterior, posterior, p_value = SUBGROUP[name]
-        found.append(
+        comparisons.append(
             {
                 "parameter": name,
                 "subjects": int(own["subject"].nunique()),
@@ -227,4 +227,4 @@ def _subgroup(means: pd.DataFrame) -> pd.DataFrame:
                 "thesis_p": p_value,
             }
         )
-    return pd.DataFrame(found)
+    return pd.DataFrame(comparisons)

@@ -94,10 +94,10 @@ def usable_tests(table: pd.DataFrame) -> UsableTests:
 
 def parameters_used(used: pd.DataFrame, remarks: list[Message]) -> list[str]:
     """Return the parameters that are compared: the six of the thesis if the engine has them; adds remarks."""
-    found = parameters_of(used)
-    if all(name in found for name in THESIS_SIX):
-        found = list(THESIS_SIX)
-    constant = [name for name in found if used[name].dropna().nunique() < 2]
+    names = parameters_of(used)
+    if all(name in names for name in THESIS_SIX):
+        names = list(THESIS_SIX)
+    constant = [name for name in names if used[name].dropna().nunique() < 2]
     if constant:
         remarks.append(
             Message(
@@ -107,8 +107,8 @@ def parameters_used(used: pd.DataFrame, remarks: list[Message]) -> list[str]:
                 labels=labels_of(constant),
             )
         )
-    stated = {name for name in found if f"{name}{STD_SUFFIX}" in used and used[f"{name}{STD_SUFFIX}"].notna().any()}
-    unknown = [name for name in found if stated and name not in stated and name not in constant]
+    stated = {name for name in names if f"{name}{STD_SUFFIX}" in used and used[f"{name}{STD_SUFFIX}"].notna().any()}
+    unknown = [name for name in names if stated and name not in stated and name not in constant]
     if unknown:
         remarks.append(
             Message(
@@ -118,7 +118,7 @@ def parameters_used(used: pd.DataFrame, remarks: list[Message]) -> list[str]:
                 labels=labels_of(unknown),
             )
         )
-    chosen = [name for name in found if name not in (*constant, *unknown)]
+    chosen = [name for name in names if name not in (*constant, *unknown)]
     remarks += [
         Message(
             "study.no_value",
@@ -216,28 +216,28 @@ def has_values(means: pd.DataFrame, name: str, remarks: list[Message], *, stated
 
 def _unusable(table: pd.DataFrame) -> list[_Reason]:
     problem = table["problem"].fillna("").astype(str) if "problem" in table else pd.Series("", table.index)
-    found = []
+    reasons = []
     for status in table["status"].dropna().unique():
         if status == "completed":
             continue
         for text in problem[table["status"] == status].unique():
-            words = Message("study.reason.status", "status '{status}'", status=Verbatim(str(status)))
+            reason = Message("study.reason.status", "status '{status}'", status=Verbatim(str(status)))
             if text:
-                words = Message(
+                reason = Message(
                     "study.reason.problem", "status '{status}': {why}", status=Verbatim(str(status)), why=Verbatim(text)
                 )
-            found.append(_Reason((table["status"] == status) & (problem == text), words))
+            reasons.append(_Reason((table["status"] == status) & (problem == text), reason))
     repeat = (table["quality"] == "repeat") & (table["status"] == "completed")
     if repeat.any():
         why = table["findings"].fillna("").astype(str) if "findings" in table else pd.Series("", table.index)
-        found += [
+        reasons += [
             _Reason(
                 repeat & (why == text),
                 Message("study.reason.quality", _REPEAT, findings=Verbatim(text or "?")),
             )
             for text in why[repeat].unique()
         ]
-    return found
+    return reasons
 
 
 def _others(usable: pd.DataFrame, column: str, remarks: list[Message]) -> list[_Reason]:
