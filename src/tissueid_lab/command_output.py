@@ -36,11 +36,11 @@ def conformance(plan: ConformancePlan, out: Output) -> None:
         raise UnusableInputError(
             "conformance.no_terminal", "--attended needs a person at a terminal, and there is no terminal"
         )
-    found = out.run(run_conformance, plan, audit_trail("technician"))
+    result = out.run(run_conformance, plan, audit_trail("technician"))
     out.widen(120)
-    rows = table(f"Conformance of {found.device or found.url}", "clause", "what the device does", "result")
+    rows = table(f"Conformance of {result.device or result.url}", "clause", "what the device does", "result")
     reasons: dict[str, list[str]] = {}
-    for item in found.results:
+    for item in result.results:
         rows.add_row(item.id, item.title, "FAILED" if item.outcome == "failed" else item.outcome)
         reasons.setdefault(item.reason, []).append(item.id)
     for column in rows.columns:
@@ -49,9 +49,9 @@ def conformance(plan: ConformancePlan, out: Output) -> None:
     for reason, clauses in reasons.items():
         if reason:
             out.print(f"{', '.join(clauses)}: {reason}", soft_wrap=True)
-    out.print(found.headline)
-    out.write_json(conformance_answer(found))
-    if not found.passed:
+    out.print(result.headline)
+    out.write_json(conformance_answer(result))
+    if not result.passed:
         raise typer.Exit(1)
 
 
@@ -69,11 +69,11 @@ def reproduce(plan: ReproductionPlan, out: Output) -> None:
         out.print("--out DIR makes them; name some to make only those")
     else:
         made = out.run(run_reproduction, plan)
-        answers = [figure_answer(one) for one in made]
+        answers = [figure_answer(reproduced) for reproduced in made]
         rows = table("Thesis and simulated instrument", "figure", "quantity", "thesis", "here")
-        for one in made:
-            for row in (*one.rows, *([(one.why, "", "")] if one.why else [])):
-                rows.add_row(one.figure.number, *row)
+        for reproduced in made:
+            for row in (*reproduced.rows, *([(reproduced.why, "", "")] if reproduced.why else [])):
+                rows.add_row(reproduced.figure.number, *row)
         out.print(rows)
         out.print(f"report: {(plan.out or Path()) / 'report.html'}")
     out.write_json({"figures": answers})
@@ -99,7 +99,8 @@ def blind_check(plan: BlindCheckPlan, out: Output) -> None:
         out.print(rows)
         if score.controls:
             controls = (
-                f"{one.what} {one.value:.0%}" if one.cases else f"{one.what} {MISSING}" for one in score.controls
+                f"{control.what} {control.value:.0%}" if control.cases else f"{control.what} {MISSING}"
+                for control in score.controls
             )
             out.print(f"  controls, top-1: {', '.join(controls)}")
         for failure in score.failures:

@@ -137,7 +137,7 @@ class Exchange:
             ViolationError: the time or the number of bytes of the clause is exceeded.
         """
         end = self.line.clock() + seconds
-        found: list[wire.Frame] = []
+        frames: list[wire.Frame] = []
         while True:
             self._check()
             now = self.line.clock()
@@ -152,9 +152,9 @@ class Exchange:
                 raise ViolationError("conformance.floods", "the device sends without end")
             for frame in self._decoder.feed(data):
                 self._keep(frame)
-                found.append(frame)
+                frames.append(frame)
             if self.line.clock() >= end:
-                return found
+                return frames
 
     def wait(self, condition: Callable[[], bool], seconds: float, expected: str) -> None:
         """Wait until a condition holds.
@@ -206,15 +206,15 @@ class Exchange:
         raise violated(f"an answer to {_name(kind)}", "none")
 
     def expect(
-        self, result: Result, kind: int, payload: bytes = b"", words: str = "", *, detail: int | None = None
+        self, result: Result, kind: int, payload: bytes = b"", case: str = "", *, detail: int | None = None
     ) -> Answer:
         """Send a request and return its answer.
 
         Raises:
-            ViolationError: the result, or the detail if one is given, is another one; ``words`` describe the request.
+            ViolationError: the result, or the detail if one is given, is another one; ``case`` describes the request.
         """
         answer = self.ask(kind, payload)
-        request = f"{_name(kind)}{' ' + words if words else ''}"
+        request = f"{_name(kind)}{' ' + case if case else ''}"
         require(answer.result == result, f"{result.name} to {request}", getattr(answer.result, "name", answer.result))
         require(detail in (None, answer.detail), f"detail {detail} to {request}", answer.detail)
         return answer
@@ -228,7 +228,7 @@ class Exchange:
         for request in requests:
             self.expect(result, *request)
 
-    def expect_silence(self, data: bytes, words: str) -> None:
+    def expect_silence(self, data: bytes, case: str) -> None:
         """Send bytes that the device must drop without an answer, and count as refused.
 
         Raises:
@@ -237,9 +237,9 @@ class Exchange:
         before = self.status()["refused_frames"]
         self.line.write(data)
         answers = [frame for frame in self.pump(0.1) if frame.type == MessageType.ACK]
-        require(not answers, f"no answer to {words}", "an ACK")
+        require(not answers, f"no answer to {case}", "an ACK")
         refused = self.status()["refused_frames"] - before
-        require(refused == 1, f"refused_frames one higher after {words}", f"{refused} higher")
+        require(refused == 1, f"refused_frames one higher after {case}", f"{refused} higher")
 
     def status(self) -> dict[str, Any]:
         """Request and return the status.
@@ -275,23 +275,23 @@ class Exchange:
         require(self.statuses, "a STATUS at the change of state", "none")
         return self.statuses[-1]
 
-    def require_state(self, state: State, words: str = "") -> dict[str, Any]:
+    def require_state(self, state: State, case: str = "") -> dict[str, Any]:
         """Return the status.
 
         Raises:
             ViolationError: the device is in another state.
         """
         status = self.status()
-        require(status["state"] == state, f"state {state.name} {words}".rstrip(), _state(status["state"]))
+        require(status["state"] == state, f"state {state.name} {case}".rstrip(), _state(status["state"]))
         return status
 
-    def wait_for_fault(self, fault: Fault, seconds: float, words: str = "") -> dict[str, Any]:
+    def wait_for_fault(self, fault: Fault, seconds: float, case: str = "") -> dict[str, Any]:
         """Wait for a fault, and return the status that reports it.
 
         Raises:
             ViolationError: there is none within the time, or another one.
         """
-        self.wait(lambda: self.newest_state == State.FAULT, seconds, f"fault {fault.name} {words}".rstrip())
+        self.wait(lambda: self.newest_state == State.FAULT, seconds, f"fault {fault.name} {case}".rstrip())
         return require_status(self.newest_status(), faults=fault)
 
     def hello(self, low: int = 1, high: int = 1, tail: bytes = b"") -> bytes:

@@ -126,7 +126,7 @@ def run_conformance(
     finally:
         link.close()
     body = None if device.handshake is None else device.handshake.device
-    found = Conformance(
+    conformance = Conformance(
         plan.device,
         "" if body is None else f"{body.model}, {body.serial_number}",
         "" if body is None else body.firmware_version,
@@ -134,9 +134,9 @@ def run_conformance(
         plan.force_n,
         results,
     )
-    trail.record("conformance.tested", subject=plan.device, new=str(found.headline))
+    trail.record("conformance.tested", subject=plan.device, new=str(conformance.headline))
     if plan.out is not None:
         from tissueid_lab.conformance.page import conformance_report
 
-        conformance_report(found).write(plan.out)
-    return found
+        conformance_report(conformance).write(plan.out)
+    return conformance

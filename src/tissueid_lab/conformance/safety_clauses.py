@@ -122,8 +122,8 @@ def _beyond(device: DeviceUnderTest) -> None:
         {"max_samples": round(90.0 * device.rate_hz) + 1},
         {"max_samples": 2**32 - 1},
     ):
-        words = ", ".join(f"{name} {value:g}" for name, value in changed.items())
-        device.expect(Result.BEYOND_LIMITS, MessageType.ARM, device.arm_payload(**changed), f"with {words}")
+        values = ", ".join(f"{name} {value:g}" for name, value in changed.items())
+        device.expect(Result.BEYOND_LIMITS, MessageType.ARM, device.arm_payload(**changed), f"with {values}")
 
 
 @clause("5.3c", marked("A stimulus more than 5 % above the force limit is refused"))

@@ -147,14 +147,16 @@ class Conformance:
         )
 
 
-def answer_of(found: Conformance) -> dict[str, object]:
+def answer_of(conformance: Conformance) -> dict[str, object]:
     """Return the result for JSON."""
     return {
-        "device": found.url,
-        "instrument": found.device,
-        "firmware_version": found.firmware,
-        "attached": found.attached,
-        "force_n": found.force_n,
-        "passed": found.passed,
-        "clauses": [asdict(item) | {"reason": item.reason, "message": stored(item.reason)} for item in found.results],
+        "device": conformance.url,
+        "instrument": conformance.device,
+        "firmware_version": conformance.firmware,
+        "attached": conformance.attached,
+        "force_n": conformance.force_n,
+        "passed": conformance.passed,
+        "clauses": [
+            asdict(item) | {"reason": item.reason, "message": stored(item.reason)} for item in conformance.results
+        ],
     }

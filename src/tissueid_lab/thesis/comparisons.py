@@ -58,9 +58,9 @@ ORDERS = {"first kernel": ",order=1", "second kernel": "", "filtered": ",smoothi
 """Fits of Fig. 4.13 by kernels, and their options."""
 
 
-def correlation_rows(found: Overlay) -> list[Row]:
+def correlation_rows(overlay: Overlay) -> list[Row]:
     """Return the first zero and the rest of the autocorrelation of the force (Fig. 3.4)."""
-    record = next(iter(found.records.values()))
+    record = next(iter(overlay.records.values()))
     u = record.input - np.nanmean(record.input)
     u = np.where(np.isfinite(u), u, 0.0)
     power = float(u @ u)
@@ -76,7 +76,7 @@ def correlation_rows(found: Overlay) -> list[Row]:
     ]
 
 
-def range_rows(found: Overlay) -> list[Row]:
+def range_rows(overlay: Overlay) -> list[Row]:
     """Return the width of the loops over the travel at both ranges (Fig. 3.11)."""
     thesis = {
         "linear": marked("one line in both ranges"),
@@ -86,7 +86,9 @@ def range_rows(found: Overlay) -> list[Row]:
     rows = []
     for label, said in thesis.items():
         shares = []
-        for range_percent, entry in zip((100, 5), [one for one in found.entries if one.source == label], strict=True):
+        for range_percent, entry in zip(
+            (100, 5), [test for test in overlay.entries if test.source == label], strict=True
+        ):
             output = entry.analysis.record.output
             share = 100.0 * loop_width(entry) / float(np.nanmax(output) - np.nanmin(output))
             shares.append(f"{range_percent} %: {fixed(share, 1)} %")
@@ -94,15 +96,15 @@ def range_rows(found: Overlay) -> list[Row]:
     return rows
 
 
-def loop_rows(found: Overlay) -> list[Row]:
+def loop_rows(overlay: Overlay) -> list[Row]:
     """Return the width of the loops at each range, and the stiffness pulled and pushed (Fig. 3.12)."""
     said = {"11 N": marked("loops appear"), "7 N": marked("little looping"), "1 N": marked("least looping")}
     rows = []
     for label, thesis in said.items():
         for source in (label, f"{label}, attached"):
-            widths = [loop_width(one) for one in found.entries if one.source == source]
+            widths = [loop_width(entry) for entry in overlay.entries if entry.source == source]
             rows.append(Row(f"{source}, width of loops", thesis, f"{number(1e6 * float(np.median(widths)), 3)} µm"))
-    profile = series_profiles(found, from_surface=True)["1 N, attached", "wiener"]
+    profile = series_profiles(overlay, from_surface=True)["1 N, attached", "wiener"]
     away = float(min(-profile.position[0], profile.position[-1]))
     pulled, between, pushed = np.interp([-away, 0.0, away], profile.position, profile.stiffness)
     here = f"{fixed(pulled, 0)} and {fixed(pushed, 0)} N/m; {fixed(between, 0)} N/m at the surface"
@@ -110,8 +112,8 @@ def loop_rows(found: Overlay) -> list[Row]:
     return [*rows, Row(what, marked("rises faster when pulled"), here)]
 
 
-def _stiffness_rows(found: Overlay, fit: str) -> list[Row]:
-    series = series_profiles(found, from_surface=True)
+def _stiffness_rows(overlay: Overlay, fit: str) -> list[Row]:
+    series = series_profiles(overlay, from_surface=True)
     made = [(SITES[site], series[SITES[site], fit]) for site in (POSTERIOR, ANTERIOR)]
     rows = []
     for (site, profile), said in zip(
@@ -119,9 +121,13 @@ def _stiffness_rows(found: Overlay, fit: str) -> list[Row]:
     ):
         ends = f"{fixed(profile.stiffness[0], 0)} to {fixed(profile.stiffness[-1], 0)} N/m"
         rows.append(Row(f"{site}, K", said, f"{ends} from {_depths(profile)}"))
-    (_, one), (_, other) = made
-    shared = np.linspace(max(one.position[0], other.position[0]), min(one.position[-1], other.position[-1]), 20)
-    ratio = np.interp(shared, one.position, one.stiffness) / np.interp(shared, other.position, other.stiffness)
+    (_, posterior), (_, anterior) = made
+    shared = np.linspace(
+        max(posterior.position[0], anterior.position[0]), min(posterior.position[-1], anterior.position[-1]), 20
+    )
+    ratio = np.interp(shared, posterior.position, posterior.stiffness) / np.interp(
+        shared, anterior.position, anterior.stiffness
+    )
     rows.append(
         Row(
             marked("K, posterior over anterior at the same depth"),
@@ -136,24 +142,24 @@ def _depths(profile: DepthProfile) -> str:
     return f"{fixed(1e3 * float(profile.position[0]), 1)} to {fixed(1e3 * float(profile.position[-1]), 1)} mm"
 
 
-def localized_rows(found: Overlay) -> list[Row]:
+def localized_rows(overlay: Overlay) -> list[Row]:
     """Return VAF, stiffness and mass of the small tests (Fig. 3.13)."""
-    vafs = [one.analysis.model.report.vaf_percent for one in found.entries]
+    vafs = [item.analysis.model.report.vaf_percent for item in overlay.entries]
     lowest = min(vafs)
-    mass = [profile.mass for key, profile in series_profiles(found).items() if key[1] == "lms"]
-    spread = max(float(np.ptp(one) / one.mean()) for one in mass)
+    mass = [profile.mass for key, profile in series_profiles(overlay).items() if key[1] == "lms"]
+    spread = max(float(np.ptp(item) / item.mean()) for item in mass)
     return [
         Row(marked("VAF of each small test"), marked("better than 90 %"), f"{percent(lowest)} or more"),
-        *_stiffness_rows(found, "lms"),
+        *_stiffness_rows(overlay, "lms"),
         Row(marked("mass along depth"), marked("does not change appreciably"), f"± {fixed(50.0 * spread, 0)} %"),
     ]
 
 
-def lobe_rows(found: Overlay) -> list[Row]:
+def lobe_rows(overlay: Overlay) -> list[Row]:
     """Return VAF and lobes of the kernel of a DPN system and of a Wiener system (Fig. 4.5)."""
-    lobes, other = (_lobes(found, source) for source in ("DPN", "Wiener"))
+    lobes, other = (_lobes(overlay, source) for source in ("DPN", "Wiener"))
     return [
-        Row(marked("VAF of a second-order kernel on a DPN"), "95.8 %", shown_vaf(found, "DPN")),
+        Row(marked("VAF of a second-order kernel on a DPN"), "95.8 %", shown_vaf(overlay, "DPN")),
         Row(
             marked("width of the centre lobe over its lag"),
             marked("narrower than a Wiener system's"),
@@ -167,17 +173,17 @@ def lobe_rows(found: Overlay) -> list[Row]:
     ]
 
 
-def _lobes(found: Overlay, source: str) -> Lobes:
-    model, _record, _part = fitted(found, VolterraModel, source=source)
+def _lobes(overlay: Overlay, source: str) -> Lobes:
+    model, _record, _part = fitted(overlay, VolterraModel, source=source)
     assert model.kernel2 is not None
     return kernel_lobes(model.kernel2, model.lag_spacing / model.sample_rate_hz)
 
 
-def site_kernel_rows(found: Overlay) -> list[Row]:
+def site_kernel_rows(overlay: Overlay) -> list[Row]:
     """Return the peaks of the first-order kernels of the sites (Figs. 4.12, 4.14)."""
     peaks = []
-    for source in found.sources:
-        model, _record, _part = fitted(found, VolterraModel, source=source)
+    for source in overlay.sources:
+        model, _record, _part = fitted(overlay, VolterraModel, source=source)
         assert model.kernel1 is not None
         peaks.append(f"{source} {fixed(1e3 * float(model.kernel1.max()), 0)}")
     return [
@@ -196,12 +202,13 @@ def partition_study(quick: bool) -> Outcome:
     if quick:
         lengths, repetitions = (50, 200), (1, 5)
     errors = partition_errors(lengths, repetitions, range(1 if quick else 5))
-    enough = [one.mean_percent for one in errors if one.points >= 500 and np.isfinite(one.mean_percent)]
-    few = [one for one in errors if one.points < 500]
+    enough = [error.mean_percent for error in errors if error.points >= 500 and np.isfinite(error.mean_percent)]
+    few = [error for error in errors if error.points < 500]
     said = ", ".join(
-        f"{one.points}: {percent(one.mean_percent) if np.isfinite(one.mean_percent) else 'no fit'}" for one in few
+        f"{error.points}: {percent(error.mean_percent) if np.isfinite(error.mean_percent) else 'no fit'}"
+        for error in few
     )
-    longest = max(errors, key=lambda one: one.points)
+    longest = max(errors, key=lambda error: error.points)
     return drawn_grid(
         "partition-error",
         marked("Error of depth partitions"),
@@ -224,10 +231,10 @@ def partition_study(quick: bool) -> Outcome:
     ]
 
 
-def partition_rows(found: Overlay) -> list[Row]:
+def partition_rows(overlay: Overlay) -> list[Row]:
     """Return stiffness and damping of partitions relative to small tests (Fig. 5.9)."""
-    rows = _stiffness_rows(found, "depth")
-    series = series_profiles(found, from_surface=True)
+    rows = _stiffness_rows(overlay, "depth")
+    series = series_profiles(overlay, from_surface=True)
     for preset in (POSTERIOR, ANTERIOR):
         site = SITES[preset]
         small, large = series[site, "lms"], series[site, "depth"]
@@ -243,13 +250,13 @@ def partition_rows(found: Overlay) -> list[Row]:
     return rows
 
 
-def frequency_rows(found: Overlay) -> list[Row]:
+def frequency_rows(overlay: Overlay) -> list[Row]:
     """Return the parameters with a low cutoff relative to those with a high one (Fig. 5.10)."""
-    series = series_profiles(found, from_surface=True)
+    series = series_profiles(overlay, from_surface=True)
     profiles = [series[source, "depth"] for source in ("50 Hz", "200 Hz")]
     fitted = [np.isfinite(profile.stiffness) for profile in profiles]  # not all kernels are those of such a system
-    places = [profile.position[good] for profile, good in zip(profiles, fitted, strict=True)]
-    shared = np.linspace(max(place[0] for place in places), min(place[-1] for place in places), 20)
+    positions = [profile.position[good] for profile, good in zip(profiles, fitted, strict=True)]
+    shared = np.linspace(max(position[0] for position in positions), min(position[-1] for position in positions), 20)
     rows = []
     for what, name, said in (
         ("K", "stiffness", marked("K rises as the cutoff falls")),
@@ -257,17 +264,17 @@ def frequency_rows(found: Overlay) -> list[Row]:
         ("M", "mass", marked("the same")),
     ):
         low, high = (
-            np.interp(shared, place, getattr(profile, name)[good])
-            for place, profile, good in zip(places, profiles, fitted, strict=True)
+            np.interp(shared, position, getattr(profile, name)[good])
+            for position, profile, good in zip(positions, profiles, fitted, strict=True)
         )
         rows.append(Row(f"{what}, 50 Hz over 200 Hz", said, f"{fixed(float(np.median(low / high)), 2)} (median)"))
     return rows
 
 
-def direction_rows(found: Overlay) -> list[Row]:
+def direction_rows(overlay: Overlay) -> list[Row]:
     """Return parameters of partitions by direction, in over out (Fig. 5.11)."""
     rows = []
-    profile = next(p for key, p in series_profiles(found).items() if key[1] == "direction")
+    profile = next(p for key, p in series_profiles(overlay).items() if key[1] == "direction")
     into, out = (profile.direction == way for way in (1, -1))
     for what, name, said in (
         ("M", "mass", marked("the same in and out")),
@@ -283,17 +290,20 @@ def direction_rows(found: Overlay) -> list[Row]:
 MEMORIES_S = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1, 0.11, 0.12)
 
 
-def memory_rows(found: Overlay) -> list[Row]:
+def memory_rows(overlay: Overlay) -> list[Row]:
     """Return where the curves of VAF and AICc against memory turn (Fig. 8.1)."""
 
     def scores(fit: str) -> dict[float, tuple[float, float]]:
         return {
-            round(1e3 * float(one.swept or 0.0)): (
-                one.shown_percent,
-                float((one.analysis.model.report.aicc if one.scheduled_aicc is None else one.scheduled_aicc) or np.nan),
+            round(1e3 * float(entry.swept or 0.0)): (
+                entry.shown_percent,
+                float(
+                    (entry.analysis.model.report.aicc if entry.scheduled_aicc is None else entry.scheduled_aicc)
+                    or np.nan
+                ),
             )
-            for one in found.entries
-            if one.fit.label == fit
+            for entry in overlay.entries
+            if entry.fit.label == fit
         }
 
     lms, wiener, second, depth = (scores(fit) for fit in ("LMS", "Wiener", "second Volterra", "7 partitions"))
@@ -301,13 +311,17 @@ def memory_rows(found: Overlay) -> list[Row]:
     gain = np.mean([wiener[ms][0] - lms[ms][0] for ms in (60, 80, 100, 120)])
     lowest = min(second, key=lambda ms: second[ms][1])
     worst = next((ms for ms in sorted(second) if ms > lowest and second[ms][1] > lms[ms][1]), None)
-    record = next(iter(found.records.values()))
+    record = next(iter(overlay.records.values()))
     memory = lags_for(len(record))
     inputs = record.input - record.input.mean()
     printed = shortest(lambda: volterra(inputs, record.output, memory))
     engine = Volterra(memory=(memory + 1) / record.sample_rate_hz, downsample=1, method="exact")
     here = shortest(lambda: engine.fit(record))
-    best = [ms for ms in sorted(depth) if depth[ms][1] <= min(one[ms][1] for one in (lms, wiener, second) if ms in one)]
+    best = [
+        ms
+        for ms in sorted(depth)
+        if depth[ms][1] <= min(curve[ms][1] for curve in (lms, wiener, second) if ms in curve)
+    ]
     return [
         Row(
             marked("VAF of LMS, 30 and 60 lags of 2 ms"),
@@ -356,15 +370,15 @@ _TECHNIQUES = (
 """Technique, VAF, interpretability and time of Table 8.1."""
 
 
-def technique_rows(found: Overlay) -> list[Row]:
+def technique_rows(overlay: Overlay) -> list[Row]:
     """Return VAF, interpretability and time of each technique, and the time of the thesis' algorithm (Table 8.1)."""
-    printed = technique_times(next(iter(found.records.values())))
+    printed = technique_times(next(iter(overlay.records.values())))
     rows = []
     for fit, vaf, read, seconds in _TECHNIQUES:
-        entry = entry_of(found, fit=fit)
+        entry = entry_of(overlay, fit=fit)
         engine, analysis = entry.fit.engine, entry.analysis
         spent = shortest(lambda: engine.fit(analysis.record, analysis.fit_part))  # noqa: B023 - called at once
-        here = f"{shown_vaf(found, fit=fit)}, {engine.family.interpretability}"
+        here = f"{shown_vaf(overlay, fit=fit)}, {engine.family.interpretability}"
         rows.append(Row(f"{fit}: VAF, interpretability", f"{vaf}, {read}", here))
         times = f"{number(spent, 2)} s; {number(printed[fit], 2)} s"
         rows.append(Row(f"{fit}: time here; of the thesis' algorithm on this computer", seconds, times))
@@ -373,15 +387,15 @@ def technique_rows(found: Overlay) -> list[Row]:
 
 def orthonormalisation_study(quick: bool) -> Outcome:
     """Return the time of the orthonormalisation against the number of parameters (Fig. 4.2)."""
-    found = orthonormalisation_times(_QUICK_MEMORIES if quick else _MEMORIES)
-    thesis, stored, here, again = found
+    timings = orthonormalisation_times(_QUICK_MEMORIES if quick else _MEMORIES)
+    thesis, stored, here, again = timings
     most = grouped(thesis.sizes[-1])
     ratio = thesis.seconds[-1] / stored.seconds[-1]
     return drawn_grid(
         "times",
         marked("Time against the number of parameters"),
         marked("Seconds against parameters for the thesis' algorithm and for the one used here."),
-        [[time_plot(found, marked("Parameters"))]],
+        [[time_plot(timings, marked("Parameters"))]],
         row_height=3.8,
     ), [
         Row(marked("power of the number of parameters, thesis' algorithm"), "2", fixed(thesis.power, 2)),
@@ -416,14 +430,14 @@ _QUANTITIES = (
 """Fit, quantity, label, factor and decimals of the rows of Table 3.1."""
 
 
-def repeat_rows(found: Overlay) -> list[Row]:
+def repeat_rows(overlay: Overlay) -> list[Row]:
     """Return mean and standard deviation of each quantity at each site (Table 3.1)."""
-    values = {(one.source, one.fit, one.quantity): one for one in repeated_values(found)}
+    values = {(repeated.source, repeated.fit, repeated.quantity): repeated for repeated in repeated_values(overlay)}
     rows = []
     for preset, thesis in TABLE_3_1.items():
         site = SKIN_SITES[preset]
         for (fit, quantity, label, scale, decimals), (mean, std) in zip(_QUANTITIES, thesis, strict=True):
-            one = values[site, fit, quantity]
-            here = f"{fixed(scale * one.mean, decimals)} ± {number(scale * one.std, 2)}"
+            repeated = values[site, fit, quantity]
+            here = f"{fixed(scale * repeated.mean, decimals)} ± {number(scale * repeated.std, 2)}"
             rows.append(Row(f"{site}, {label}", f"{mean} ± {std}", here))
     return rows

@@ -68,7 +68,7 @@ def autocorrelation_times(sizes: Sequence[int]) -> tuple[Timing, ...]:
     """
     random = np.random.Generator(np.random.PCG64(1))
     values = {n: random.standard_normal(n) for n in sizes}
-    start = {n: published.transformed_autocorrelation(one) for n, one in values.items()}
+    start = {n: published.transformed_autocorrelation(samples) for n, samples in values.items()}
     methods: tuple[tuple[str, Callable[[int], object]], ...] = (
         ("direct", lambda n: published.direct_autocorrelation(values[n])),
         ("transform", lambda n: published.transformed_autocorrelation(values[n])),
@@ -116,7 +116,7 @@ def orthonormalisation_times(memories: Sequence[int], rows: int = 2700) -> tuple
         memories: lags of each fit.
         rows: samples that each is fitted to.
     """
-    found: dict[str, list[float]] = {}
+    seconds: dict[str, list[float]] = {}
     for memory in memories:
         x, y = np.random.Generator(np.random.PCG64(memory)).standard_normal((2, rows + memory))
         used = np.arange(x.size) >= memory
@@ -130,10 +130,10 @@ def orthonormalisation_times(memories: Sequence[int], rows: int = 2700) -> tuple
             "here, factor": lambda x=x, u=used, lags=memory + 1: factor_stimulus(x, u, lags),  # type: ignore[misc]
             "here, solution with a stored factor": lambda k=kept, y=y: k.solve(y),  # type: ignore[misc]
         }
-        for name, one in work.items():
-            found.setdefault(name, []).append(shortest(one))
+        for name, task in work.items():
+            seconds.setdefault(name, []).append(shortest(task))
     sizes = tuple(coefficient_count(memory + 1, 2) for memory in memories)
-    return tuple(Timing(name, sizes, tuple(taken), name.startswith("here")) for name, taken in found.items())
+    return tuple(Timing(name, sizes, tuple(taken), name.startswith("here")) for name, taken in seconds.items())
 
 
 def lags_for(rows: int) -> int:
@@ -169,28 +169,28 @@ def technique_times(record: Record) -> dict[str, float]:
 
 
 def _timed(work: dict[str, Callable[[], object]]) -> Iterator[tuple[str, float]]:
-    for name, one in work.items():
+    for name, task in work.items():
         try:
-            yield name, shortest(one)
+            yield name, shortest(task)
         except (RuntimeError, ValueError, FloatingPointError):  # the curve of the Wiener iteration was not found
             yield name, float("nan")
 
 
-def time_plot(found: Sequence[Timing], size: str) -> Plot:
+def time_plot(timings: Sequence[Timing], size: str) -> Plot:
     """Return seconds against size for each method (Chen 2010, Figs. 4.2 and 6.2a).
 
     Args:
-        found: timings; those of this program are drawn in the colour of models.
+        timings: timings; those of this program are drawn in the colour of models.
         size: label of the abscissa.
     """
     curves = [
         Curve(
-            np.array(one.sizes, np.float64),
-            np.array(one.seconds),
-            Verbatim(one.method),
-            "model" if one.here else _COLOURS[place % len(_COLOURS)],
-            marker=_MARKERS[place % len(_MARKERS)],
+            np.array(timing.sizes, np.float64),
+            np.array(timing.seconds),
+            Verbatim(timing.method),
+            "model" if timing.here else _COLOURS[index % len(_COLOURS)],
+            marker=_MARKERS[index % len(_MARKERS)],
         )
-        for place, one in enumerate(found)
+        for index, timing in enumerate(timings)
     ]
     return Plot("", Axis(size, log=True), Axis(marked("Time"), "s", log=True), tuple(curves))

@@ -120,8 +120,8 @@ def run_benchmark(benchmark: FieldBenchmark, path: Path, control: Control) -> Re
         UnusableInputError: the file cannot be read, or is another record.
         CancelledError: it was cancelled.
     """
-    found = import_test(Source.parsed(str(path)), parse_map(benchmark.mapping), Choices(), rate_hz=benchmark.rate_hz)
-    record = found.test.record()
+    imported = import_test(Source.parsed(str(path)), parse_map(benchmark.mapping), Choices(), rate_hz=benchmark.rate_hz)
+    record = imported.test.record()
     if len(record) != benchmark.samples:
         raise UnusableInputError(
             "reproduce.other_record",
@@ -133,10 +133,10 @@ def run_benchmark(benchmark: FieldBenchmark, path: Path, control: Control) -> Re
         )
     begin = time.perf_counter()
     rows = []
-    for place, (engine, options) in enumerate(benchmark.engines):
+    for index, (engine, options) in enumerate(benchmark.engines):
         control.check()
         step = Message("reproduce.benchmark", "{name}: fitting {engine}", name=benchmark.number, engine=engine)
-        control.progress(place / len(benchmark.engines), step)
+        control.progress(index / len(benchmark.engines), step)
         started = time.perf_counter()
         model = get_engine(engine).from_options(dict(options)).fit(record[slice(*benchmark.fitted)])
         spent = time.perf_counter() - started

@@ -90,12 +90,12 @@ _SMALL_SHARE = 0.05
 
 def _range_tests() -> tuple[Source, ...]:
     """Return tests of 100 % and 5 % of the input range on three systems (Fig. 3.11)."""
-    found = []
+    sources = []
     for preset, (label, (low, high)) in _SYSTEMS.items():
         middle, half = 0.5 * (low + high), 0.5 * _SMALL_SHARE * (high - low)
-        found.append(Source(label, Recording(f"{preset}-full", preset, (low, high))))
-        found.append(Source(label, Recording(f"{preset}-small", preset, (middle - half, middle + half))))
-    return tuple(found)
+        sources.append(Source(label, Recording(f"{preset}-full", preset, (low, high))))
+        sources.append(Source(label, Recording(f"{preset}-small", preset, (middle - half, middle + half))))
+    return tuple(sources)
 
 
 _INPUTS = (

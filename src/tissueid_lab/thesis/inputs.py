@@ -103,7 +103,7 @@ def _given_input(_quick: bool) -> Outcome:
 
 def _autocorrelation_speed(quick: bool) -> Outcome:
     """Return times of an autocorrelation by four methods, and the levelling of the error (Fig. 6.2)."""
-    found = autocorrelation_times(_QUICK_SIZES if quick else _SIZES)
+    timings = autocorrelation_times(_QUICK_SIZES if quick else _SIZES)
     start = np.random.Generator(np.random.PCG64(1)).permutation(_UNIFORM.build_distribution().levels(_UNIFORM.samples))
     target = _UNIFORM.build_spectrum().autocorrelation(_UNIFORM.lags, _UNIFORM.sample_rate)
     trials = _QUICK_TRIALS if quick else _TRIALS
@@ -117,11 +117,11 @@ def _autocorrelation_speed(quick: bool) -> Outcome:
     }
     rows = [
         Row(
-            f"time of {one.method}, power of n; at {grouped(one.sizes[-1])} samples",
-            said[one.method],
-            f"{fixed(one.power, 2)}; {number(1e6 * one.seconds[-1], 3)} µs",
+            f"time of {timing.method}, power of n; at {grouped(timing.sizes[-1])} samples",
+            said[timing.method],
+            f"{fixed(timing.power, 2)}; {number(1e6 * timing.seconds[-1], 3)} µs",
         )
-        for one in found
+        for timing in timings
     ]
     history = search.history
     tenth = history[np.searchsorted(history[:, 0], 0.1 * trials), 2]
@@ -129,14 +129,14 @@ def _autocorrelation_speed(quick: bool) -> Outcome:
         Row(
             f"error before, after a tenth of {grouped(trials)} drawn pairs, after all",
             marked("falls fast, then levels"),
-            ", ".join(number(float(one), 2) for one in (history[0, 2], tenth, history[-1, 2])),
+            ", ".join(number(float(error), 2) for error in (history[0, 2], tenth, history[-1, 2])),
         )
     )
     return drawn_grid(
         "autocorrelation",
         marked("Time of an autocorrelation by method, and error over swaps"),
         marked("Seconds against samples for each method, and sum of squared differences against accepted swaps."),
-        [(time_plot(found, marked("Samples")), swaps_plot(search))],
+        [(time_plot(timings, marked("Samples")), swaps_plot(search))],
         row_height=3.6,
     ), rows
 
@@ -151,10 +151,10 @@ _ONLINE = (
 """Engine, VAF, AIC and time in the thesis (6.2)."""
 
 
-def _online(found: Overlay) -> Outcome:
+def _online(overlay: Overlay) -> Outcome:
     rows = []
     for fit, vaf, aic, said in _ONLINE:
-        report = entry_of(found, fit=fit).analysis.model.report
+        report = entry_of(overlay, fit=fit).analysis.model.report
         tracked = report.details.get("vaf_tracking_percent")  # with the responses that followed the position
         followed = fit == "ALS" and tracked is not None
         rows.append(Row(f"VAF, {fit}", vaf, percent(tracked if followed and tracked else report.vaf_percent)))
@@ -164,7 +164,7 @@ def _online(found: Overlay) -> Outcome:
                 shifted += 2.0 * (report.details["n_parameters_tracking"] - report.n_parameters)
             rows.append(Row(f"AIC, positions in mm, {fit}", aic, number(shifted, 3)))
         rows.append(Row(f"time for a test of 4 s, {fit}", said, f"{fixed(report.seconds or float('nan'), 2)} s"))
-    runs = [held_out_prediction(fit, entry_of(found, fit=fit).analysis) for fit, *_ in _ONLINE]
+    runs = [held_out_prediction(fit, entry_of(overlay, fit=fit).analysis) for fit, *_ in _ONLINE]
     return drawn_grid(
         "residual",
         marked("Measured against predicted position"),
@@ -174,8 +174,8 @@ def _online(found: Overlay) -> Outcome:
     ), rows
 
 
-def _adaptive(found: Overlay) -> Outcome:
-    model, record, part = fitted(found, AlsModel)
+def _adaptive(overlay: Overlay) -> Outcome:
+    model, record, part = fitted(overlay, AlsModel)
     peaks = 1e3 * model.depth_response.max(axis=1)
     at = 1e3 * model.lag_s[model.depth_response.argmax(axis=1)]
     return drawn_grid(
@@ -211,7 +211,7 @@ def _settling(_quick: bool) -> Outcome:
         Row(
             marked("shortest 5 % settling time at 500, 1000, 2000, 4000 N/m"),
             marked("about 60 ms in the dark region, at least 25 ms in practice"),
-            f"{', '.join(fixed(float(one), 0) for one in shortest)} ms",
+            f"{', '.join(fixed(float(value), 0) for value in shortest)} ms",
         )
     ]
 

@@ -57,9 +57,9 @@ _SECONDS = 8.0
 # -- kernels of simulated systems -------------------------------------------------------------------------------------
 
 
-def _alike(one: Array, other: Array) -> str:
+def _alike(first: Array, second: Array) -> str:
     """Return the cosine between two arrays of one shape."""
-    return fixed(float(np.sum(one * other) / np.linalg.norm(one) / np.linalg.norm(other)), 3)
+    return fixed(float(np.sum(first * second) / np.linalg.norm(first) / np.linalg.norm(second)), 3)
 
 
 def _cascade_kernels(curve: Literal["exponential", "square"]) -> Outcome:
@@ -121,8 +121,8 @@ def _kernels_of(model: VolterraModel) -> tuple[Array, Array]:
 _ROUGH = marked("share of the second kernel above a quarter of the sampling rate")
 
 
-def _kernels(found: Overlay) -> Outcome:
-    model, record, _part = fitted(found, VolterraModel, "raw")
+def _kernels(overlay: Overlay) -> Outcome:
+    model, record, _part = fitted(overlay, VolterraModel, "raw")
     report = model.report
     rows = report.n_samples // model.lag_spacing
     per_row = (float(report.aic or np.nan) - 2.0 * report.n_parameters) / report.n_samples + float(np.log(1e6))
@@ -144,8 +144,8 @@ def _kernels(found: Overlay) -> Outcome:
     ]
 
 
-def _in_time(found: Overlay) -> Outcome:
-    runs = [held_out_prediction(one.fit.label, one.analysis) for one in found.entries]
+def _in_time(overlay: Overlay) -> Outcome:
+    runs = [held_out_prediction(entry.fit.label, entry.analysis) for entry in overlay.entries]
     return drawn_grid(
         "prediction",
         marked("Measured and modelled position"),
@@ -156,9 +156,9 @@ def _in_time(found: Overlay) -> Outcome:
     ), []
 
 
-def _spectra(found: Overlay) -> Outcome:
-    raw, smooth = (fitted(found, VolterraModel, fit) for fit in ("raw", "filtered"))
-    rough = [fixed(100.0 * roughness(_kernels_of(one[0])[1]), 1) for one in (raw, smooth)]
+def _spectra(overlay: Overlay) -> Outcome:
+    raw, smooth = (fitted(overlay, VolterraModel, fit) for fit in ("raw", "filtered"))
+    rough = [fixed(100.0 * roughness(_kernels_of(analysed[0])[1]), 1) for analysed in (raw, smooth)]
     return drawn_grid(
         "kernel-spectra",
         marked("Second-order kernel and its spectrum, before and after the filter"),
@@ -172,15 +172,17 @@ def _spectra(found: Overlay) -> Outcome:
     ]
 
 
-def _contributions(found: Overlay) -> Outcome:
+def _contributions(overlay: Overlay) -> Outcome:
     plots, rows = [], []
     for fit, said in (("raw", marked("noise")), ("filtered", marked("almost none"))):
-        model, record, part = fitted(found, VolterraModel, fit)
+        model, record, part = fitted(overlay, VolterraModel, fit)
         plots.append(contribution_plots(model, record, part))
         _, first, second = model.contributions(record.input)
         diagonal = replace(model, kernel2=np.diag(np.diag(_kernels_of(model)[1])), kernel3=None, order=2)
         alone = diagonal.contributions(record.input)[2]
-        shares = [100.0 * float(np.nanstd(one[part]) / np.nanstd(first[part])) for one in (alone, second)]
+        shares = [
+            100.0 * float(np.nanstd(contribution[part]) / np.nanstd(first[part])) for contribution in (alone, second)
+        ]
         what = f"{fit}: diagonal of the second kernel, and all of it, relative to the first"
         rows.append(Row(what, said, f"{fixed(shares[0], 0)} % and {fixed(shares[1], 0)} %"))
     alt = marked("Three panels for each model: first order, diagonal of the second order, all of it.")
@@ -213,10 +215,10 @@ def _validated(name: str, quick: bool) -> Outcome:
             100.0 * float(np.nanmedian(np.abs(getattr(profile, what) / getattr(system, what)(profile.position) - 1.0)))
             for what in scales
         ]
-        shown = ", ".join(fixed(one, 1) for one in errors)
+        shown = ", ".join(fixed(item, 1) for item in errors)
         rows.append(Row(f"{label}: median error of M, B, K", marked("match the trend"), f"{shown} %"))
-    low = min(float(one.position[0]) for one in profiles.values())
-    high = max(float(one.position[-1]) for one in profiles.values())
+    low = min(float(item.position[0]) for item in profiles.values())
+    high = max(float(item.position[-1]) for item in profiles.values())
     fine = np.linspace(low, high, 100)
     with_truth = [
         _with_truth(plot, fine, scale * getattr(system, what)(fine))
@@ -240,11 +242,11 @@ def _with_truth(plot: Plot, position: Array, values: Array) -> Plot:
     return replace(plot, y=replace(plot.y, limits=limits), parts=(*plot.parts, truth))
 
 
-def _partitioned(found: Overlay) -> Outcome:
-    model, record, part = fitted(found, PartitionedModel)
+def _partitioned(overlay: Overlay) -> Outcome:
+    model, record, part = fitted(overlay, PartitionedModel)
     limits, kernels = 1e3 * model.breakpoints_m, model.operating_kernels
     widths = np.diff(limits)
-    dips = [100.0 * float(-one[2:].min() / one.max()) for one in (kernels[0], kernels[-1])]
+    dips = [100.0 * float(-kernel[2:].min() / kernel.max()) for kernel in (kernels[0], kernels[-1])]
     return drawn_grid(
         "partitions",
         marked("Output with its partitions, and kernels by depth"),
@@ -266,8 +268,8 @@ def _partitioned(found: Overlay) -> Outcome:
     ]
 
 
-def _fifteen_rows(found: Overlay) -> list[Row]:
-    return [Row(marked("parameters"), "600", grouped(fitted(found, PartitionedModel)[0].report.n_parameters))]
+def _fifteen_rows(overlay: Overlay) -> list[Row]:
+    return [Row(marked("parameters"), "600", grouped(fitted(overlay, PartitionedModel)[0].report.n_parameters))]
 
 
 KERNEL_FIGURES: tuple[ThesisFigure, ...] = (

@@ -126,18 +126,18 @@ def transformed_autocorrelation(values: Array) -> Array:
     return np.asarray(signal.correlate(values, values, method="fft")[values.size - 1 :] / values.size)
 
 
-def swapped_autocorrelation(values: Array, auto: Array, one: int, other: int) -> Array:
+def swapped_autocorrelation(values: Array, auto: Array, first: int, second: int) -> Array:
     """Return the lags of ``auto`` (lags,) after two samples of ``values`` (n,) are swapped (C.4).
 
     Only products with either sample change. The length of ``auto`` is the number of lags that are followed.
     """
     n, lags = values.size, auto.size
-    change = float(values[other] - values[one])
+    change = float(values[second] - values[first])
     new = auto * n
     reach = np.arange(1, lags)
-    for place, sign in ((one, 1.0), (other, -1.0)):
+    for index, sign in ((first, 1.0), (second, -1.0)):
         for step in (reach, -reach):
-            partner = place + step
-            inside = (partner >= 0) & (partner < n) & (partner != one) & (partner != other)
+            partner = index + step
+            inside = (partner >= 0) & (partner < n) & (partner != first) & (partner != second)
             new[reach[inside]] += sign * change * values[partner[inside]]
     return np.asarray(new / n)

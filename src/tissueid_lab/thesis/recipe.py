@@ -145,23 +145,23 @@ def drawn_grid(
     return DrawnFigures((made,), tuple(plot for row in rows for plot in row))
 
 
-def entry_of(found: Overlay, source: str = "", fit: str = "") -> OverlayEntry:
+def entry_of(overlay: Overlay, source: str = "", fit: str = "") -> OverlayEntry:
     """Return the first entry of a source and a fit; "" for any."""
-    return next(one for one in found.entries if source in ("", one.source) and fit in ("", one.fit.label))
+    return next(entry for entry in overlay.entries if source in ("", entry.source) and fit in ("", entry.fit.label))
 
 
 def fitted(
-    found: Overlay, kind: type[FittedModel], fit: str = "", source: str = ""
+    overlay: Overlay, kind: type[FittedModel], fit: str = "", source: str = ""
 ) -> tuple[FittedModel, Record, slice]:
     """Return the model of a kind, its record and the part that it was fitted to, of a source and a fit."""
-    analysis = entry_of(found, source, fit).analysis
+    analysis = entry_of(overlay, source, fit).analysis
     assert isinstance(analysis.model, kind)
     return analysis.model, analysis.record, analysis.fit_part
 
 
-def shown_vaf(found: Overlay, source: str = "", fit: str = "") -> str:
+def shown_vaf(overlay: Overlay, source: str = "", fit: str = "") -> str:
     """Return the VAF of the fitted samples, scheduled where the model has a schedule."""
-    return percent(entry_of(found, source, fit).shown_percent)
+    return percent(entry_of(overlay, source, fit).shown_percent)
 
 
 def percent(value: float) -> str:
@@ -175,40 +175,42 @@ def write_reproduction(path: Path, made: Sequence[ReproducedFigure]) -> None:
     Raises:
         OSError: the folder is missing, or the disk is full or not writable.
     """
-    missing = tuple(f"{one.figure.number}: {translated(one.why)}" for one in made if one.why)
+    missing = tuple(
+        f"{reproduced.figure.number}: {translated(reproduced.why)}" for reproduced in made if reproduced.why
+    )
     blocks, scores = [], []
-    for one in made:
-        number = one.figure.number
-        for drawn in () if one.report is None else one.report.pictures:
+    for reproduced in made:
+        number = reproduced.figure.number
+        for drawn in () if reproduced.report is None else reproduced.report.pictures:
             key = f"{number.replace(' ', '-').replace('.', '-').lower()}-{drawn.key}"
             blocks.append(replace(drawn, key=key, heading=f"{number}. {drawn.heading}").block)
-        if isinstance(one.report, OverlayReport) and not one.report.found.swept:
-            table = overlay_scores(one.report.found)
+        if isinstance(reproduced.report, OverlayReport) and not reproduced.report.found.swept:
+            table = overlay_scores(reproduced.report.found)
             scores.append(replace(table, caption=f"{number}. {table.caption}"))
     write_text_atomically(
         path,
         template("stimulus.html.j2").render(
             title=_("Figures and tables of the thesis"),
-            facts=((_("Figures"), ", ".join(one.figure.number for one in made)),),
+            facts=((_("Figures"), ", ".join(reproduced.figure.number for reproduced in made)),),
             research_line=_(RESEARCH_LINE),
             software=SOFTWARE,
             headline=_("{count} of {total} made").format(count=len(made) - len(missing), total=len(made)),
             level="check" if missing else "good",
             concerns=missing,
             summary=(_("Tests on the simulated instrument. The thesis is Chen, MIT, 2010."),),
-            tables=(*(_comparison(one) for one in made if one.rows), *scores),
+            tables=(*(_comparison(reproduced) for reproduced in made if reproduced.rows), *scores),
             group=FigureGroup("figures", _("Figures"), tuple(blocks)),
         ),
     )
 
 
-def _comparison(one: ReproducedFigure) -> Table:
-    figure = one.figure
+def _comparison(reproduced: ReproducedFigure) -> Table:
+    figure = reproduced.figure
     return Table(
         f"{figure.number}. {translated(figure.title)}",
         (_("Quantity"), translated(figure.against), _("Here")),
-        tuple((translated(row.what), translated(row.thesis), translated(row.here)) for row in one.rows),
-        " ".join(filter(None, (figure.remark, *map(_as_sentence, map(translated, one.warnings))))),
+        tuple((translated(row.what), translated(row.thesis), translated(row.here)) for row in reproduced.rows),
+        " ".join(filter(None, (figure.remark, *map(_as_sentence, map(translated, reproduced.warnings))))),
     )
 
 
@@ -219,16 +221,20 @@ def as_markdown(results: Mapping[str, Any]) -> str:
         results: content of ``results.json``.
     """
     parts = []
-    for one in results["figures"]:
-        name = f"Fig. {one['number']}" if one["number"][0].isdigit() else one["number"]
-        lines = [f"### {name}: {one['title']}", ""]
-        if one["rows"]:
-            columns = ("quantity", one["against"].lower(), "TissueID")
-            rows = [columns, ("---", "---", "---"), *((row["what"], row["thesis"], row["here"]) for row in one["rows"])]
+    for figure in results["figures"]:
+        name = f"Fig. {figure['number']}" if figure["number"][0].isdigit() else figure["number"]
+        lines = [f"### {name}: {figure['title']}", ""]
+        if figure["rows"]:
+            columns = ("quantity", figure["against"].lower(), "TissueID")
+            rows = [
+                columns,
+                ("---", "---", "---"),
+                *((row["what"], row["thesis"], row["here"]) for row in figure["rows"]),
+            ]
             lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows] + [""]
-        if one["why_missing"]:
-            lines += [f"Not made: {one['why_missing']}.", ""]
-        for text in filter(None, (one["remark"], *map(_as_sentence, one.get("warnings", ())))):
+        if figure["why_missing"]:
+            lines += [f"Not made: {figure['why_missing']}.", ""]
+        for text in filter(None, (figure["remark"], *map(_as_sentence, figure.get("warnings", ())))):
             lines += [text, ""]
         parts.append("\n".join(lines))
     minutes = fixed(float(results["seconds"]) / 60.0, 1)

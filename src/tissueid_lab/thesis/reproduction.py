@@ -87,9 +87,9 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
     from tissueid_lab.thesis.figures import FIGURES, QUICK_TESTS
     from tissueid_lab.thesis.signals import SWEEP, sweep_of
 
-    known = {figure.number.casefold(): figure for figure in FIGURES}
+    by_number = {figure.number.casefold(): figure for figure in FIGURES}
     for number in plan.numbers:
-        if number.casefold() not in known:
+        if number.casefold() not in by_number:
             raise UnusableInputError(
                 "reproduce.unknown",
                 "there is no recipe for {number}; there are: {numbers}",
@@ -100,9 +100,9 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
         raise UnusableInputError("reproduce.no_folder", "--out is required: a folder for the figures")
     records = ((SILVERBOX, plan.silverbox), (WIENER_HAMMERSTEIN, plan.wiener_hammerstein))
     scored = [(benchmark, path) for benchmark, path in records if path is not None]
-    chosen = [known[number.casefold()] for number in plan.numbers] or ([] if scored else list(FIGURES))
+    chosen = [by_number[number.casefold()] for number in plan.numbers] or ([] if scored else list(FIGURES))
     if plan.quick and not plan.numbers:
-        chosen = [one for one in chosen if {source.recording.name for source in one.sources} <= QUICK_TESTS]
+        chosen = [figure for figure in chosen if {source.recording.name for source in figure.sources} <= QUICK_TESTS]
     chosen = [_quick(figure) for figure in chosen] if plan.quick else chosen
     calibration = None if plan.sweep is None else sweep_columns(plan.sweep)
     began = time.perf_counter()
@@ -117,12 +117,12 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
     if calibration is None and swept in recordings and swept.name not in failed:
         calibration = sweep_of(read_session(sessions / f"{swept.name}.h5"))
     made = [run_benchmark(benchmark, path, control) for benchmark, path in scored]
-    for place, figure in enumerate(chosen):
-        control.progress(place / len(chosen), Message("reproduce.fitting", _FITTING, number=figure.number))
+    for index, figure in enumerate(chosen):
+        control.progress(index / len(chosen), Message("reproduce.fitting", _FITTING, number=figure.number))
         control.check()
         begin = time.perf_counter()
-        one = _reproduced(figure, sessions, calibration if figure.calibration else None, failed, plan.quick)
-        made.append(replace(one, seconds=time.perf_counter() - begin))
+        reproduced = _reproduced(figure, sessions, calibration if figure.calibration else None, failed, plan.quick)
+        made.append(replace(reproduced, seconds=time.perf_counter() - begin))
     try:
         _write(plan, plan.out, made, began)
     except OSError as error:
@@ -135,8 +135,8 @@ def _quick(figure: ThesisFigure) -> ThesisFigure:
     groups: dict[Any, list[Source]] = {}
     for source in figure.sources:
         groups.setdefault((source.label, source.fits), []).append(source)
-    kept = [one for group in groups.values() for one in (group[:: max(1, len(group) - 1)])[:_QUICK]]
-    sources = [replace(one, recording=one.recording.shortened()) for one in figure.sources if one in kept]
+    kept = [test for group in groups.values() for test in (group[:: max(1, len(group) - 1)])[:_QUICK]]
+    sources = [replace(test, recording=test.recording.shortened()) for test in figure.sources if test in kept]
     option, values = figure.sweep
     return replace(figure, sources=tuple(sources), sweep=(option, values[1::2]))
 
@@ -152,8 +152,8 @@ def _record(recordings: Iterable[Recording], folder: Path, control: Control) -> 
     from tissueid.instrument import open_instrument
     from tissueid.procedures.demo import firmware_process
 
-    missing = {one.name: one for one in recordings if not (folder / f"{one.name}.h5").exists()}
-    waiting = sorted(missing.values(), key=lambda one: one.preset if one.quick else "")
+    missing = {recording.name: recording for recording in recordings if not (folder / f"{recording.name}.h5").exists()}
+    waiting = sorted(missing.values(), key=lambda recording: recording.preset if recording.quick else "")
     tried: dict[str, int] = {}
     failed: dict[str, str] = {}
     while waiting:
@@ -167,14 +167,14 @@ def _record(recordings: Iterable[Recording], folder: Path, control: Control) -> 
             instrument = open_instrument(url)
             try:
                 while waiting and (waiting[0].preset, waiting[0].coil, waiting[0].rate_hz) == device:
-                    one = waiting[0]
+                    recording = waiting[0]
                     control.check()
                     share = 1.0 - len(waiting) / len(missing)
-                    control.progress(share, Message("reproduce.recording", _RECORDING, name=Verbatim(one.name)))
-                    tried[one.name] = tried.get(one.name, 0) + 1
-                    _play(instrument, one, folder / f"{one.name}.h5", control)
+                    control.progress(share, Message("reproduce.recording", _RECORDING, name=Verbatim(recording.name)))
+                    tried[recording.name] = tried.get(recording.name, 0) + 1
+                    _play(instrument, recording, folder / f"{recording.name}.h5", control)
                     waiting.pop(0)
-                    if not one.quick:
+                    if not recording.quick:
                         break
             except CancelledError:
                 raise
@@ -241,30 +241,30 @@ def _reproduced(
     if lacking := [failed[s.recording.name] for s in figure.sources if s.recording.name in failed]:
         return ReproducedFigure(figure, why=lacking[0])
     try:
-        sessions = {one: read_session(folder / f"{one.recording.name}.h5") for one in figure.sources}
+        sessions = {test: read_session(folder / f"{test.recording.name}.h5") for test in figure.sources}
         if figure.recorded is not None:
-            drawn, rows = figure.recorded({one.label: session for one, session in sessions.items()})
+            drawn, rows = figure.recorded({test.label: session for test, session in sessions.items()})
             return ReproducedFigure(figure, tuple(rows), report=drawn)
-        found = overlay(
-            [TestSource(one.label, session, (1,), one.fits) for one, session in sessions.items()],
+        overlaid = overlay(
+            [TestSource(test.label, session, (1,), test.fits) for test, session in sessions.items()],
             named_fits((), figure.fits),
             whole=figure.whole,
             downsample=figure.downsample,
             sweep=figure.sweep,
         )
-        rows = () if figure.rows is None else figure.rows(found)
-        report = overlay_report(found, calibration, figure.pictures)
+        rows = () if figure.rows is None else figure.rows(overlaid)
+        report = overlay_report(overlaid, calibration, figure.pictures)
         if figure.drawn is not None:
-            drawn, rows = figure.drawn(found)
+            drawn, rows = figure.drawn(overlaid)
             report = replace(report, pictures=report.pictures + drawn.pictures, plots=report.plots + drawn.plots)
     except UnusableInputError as error:
         return ReproducedFigure(figure, why=error.message)
     warnings = {  # one that several fits share, once
         warning: Message("reproduce.warning", "{fit}: {warning}", fit=Verbatim(entry.fit.label), warning=warning)
-        for entry in found.entries
+        for entry in overlaid.entries
         for warning in entry.analysis.model.report.warnings
     }
-    vafs = (Row(what, said, shown_vaf(found, source, fit)) for what, said, source, fit in figure.vafs)
+    vafs = (Row(what, said, shown_vaf(overlaid, source, fit)) for what, said, source, fit in figure.vafs)
     return ReproducedFigure(figure, (*vafs, *rows), report=report, warnings=tuple(warnings.values()))
 
 
@@ -277,33 +277,34 @@ def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], 
     from tissueid.version import SOFTWARE
     from tissueid_lab.thesis.recipe import as_markdown, write_reproduction
 
-    for one in made:
-        if one.report is not None and one.report.pictures and not plan.quick:  # a quick run has them on its page
-            folder = out / _FIGURES / one.figure.number.replace(" ", "-").lower()
+    for figure in made:
+        # A quick run has the pictures on its page.
+        if figure.report is not None and figure.report.pictures and not plan.quick:
+            folder = out / _FIGURES / figure.figure.number.replace(" ", "-").lower()
             private_folder(folder.parent)
-            one.report.write_figures(folder)
-            write_text(folder / "numbers.csv", one.report.csv())
+            figure.report.write_figures(folder)
+            write_text(folder / "numbers.csv", figure.report.csv())
     write_reproduction(out / _PAGE, made)
     results = {
         "made_by": _MADE_BY,
         "software": SOFTWARE,
         "quick": plan.quick,
         "seconds": time.perf_counter() - began,
-        "figures": [answer_of(one) for one in made],
+        "figures": [answer_of(figure) for figure in made],
     }
     write_text(out / _RESULTS, json_text(results))
     write_text(out / _TEXT, as_markdown(results))
 
 
-def answer_of(one: ReproducedFigure) -> dict[str, Any]:
+def answer_of(reproduced: ReproducedFigure) -> dict[str, Any]:
     """Return a figure for JSON: number, title, thesis and present value of each quantity, remark and warnings."""
     return {
-        "number": one.figure.number,
-        "title": str(one.figure.title),
-        "rows": [{name: str(value) for name, value in row._asdict().items()} for row in one.rows],
-        "why_missing": str(one.why) or None,
-        "remark": one.figure.remark,
-        "warnings": [str(text) for text in one.warnings],
-        "seconds": one.seconds,
-        "against": str(one.figure.against),
+        "number": reproduced.figure.number,
+        "title": str(reproduced.figure.title),
+        "rows": [{name: str(value) for name, value in row._asdict().items()} for row in reproduced.rows],
+        "why_missing": str(reproduced.why) or None,
+        "remark": reproduced.figure.remark,
+        "warnings": [str(text) for text in reproduced.warnings],
+        "seconds": reproduced.seconds,
+        "against": str(reproduced.figure.against),
     }

@@ -51,9 +51,9 @@ _SETTLED = 0.02
 
 
 def _analysed(session: Session) -> tuple[SweepResult, dict[str, dict[str, Array]]]:
-    found = analyse_sweep(sweep_tests(session), session.instrument, SpringMass(_SPRING_N_PER_M))
-    tables = as_calibration(found).tables.items()
-    return found, {table: {name: np.asarray(values) for name, values in columns.items()} for table, columns in tables}
+    result = analyse_sweep(sweep_tests(session), session.instrument, SpringMass(_SPRING_N_PER_M))
+    tables = as_calibration(result).tables.items()
+    return result, {table: {name: np.asarray(values) for name, values in columns.items()} for table, columns in tables}
 
 
 def sweep_of(session: Session) -> dict[str, Array]:
@@ -64,9 +64,9 @@ def sweep_of(session: Session) -> dict[str, Array]:
 def _swept(sessions: Mapping[str, Session]) -> Outcome:
     """Return parameters and Bode diagrams along the stroke, and the ranges of Table 2.1 (Fig. 2.12)."""
     (session,) = sessions.values()
-    found, tables = _analysed(session)
-    low, high = found.region.min_m.value, found.region.max_m.value
-    region = Region(low, high, found.region.plateau_n_per_a.value)
+    result, tables = _analysed(session)
+    low, high = result.region.min_m.value, result.region.max_m.value
+    region = Region(low, high, result.region.plateau_n_per_a.value)
     sweep = tables["sweep"]
     inside = (sweep["position_m"] >= low) & (sweep["position_m"] <= high)
 
@@ -90,12 +90,12 @@ def _swept(sessions: Mapping[str, Session]) -> Outcome:
 # -- signals and spectra ----------------------------------------------------------------------------------------------
 
 
-def _distributions(found: Overlay) -> Outcome:
-    record = found.records["posterior"]
+def _distributions(overlay: Overlay) -> Outcome:
+    record = overlay.records["posterior"]
 
     def shape(values: np.ndarray) -> str:
-        known = values[np.isfinite(values)]
-        return f"{fixed(float(stats.skew(known)), 2)} and {fixed(float(stats.kurtosis(known)), 2)}"
+        finite = values[np.isfinite(values)]
+        return f"{fixed(float(stats.skew(finite)), 2)} and {fixed(float(stats.kurtosis(finite)), 2)}"
 
     force = record.input[np.isfinite(record.input)]
     crest = float(np.abs(force - force.mean()).max() / force.std())
@@ -131,15 +131,15 @@ def _spectra(sessions: Mapping[str, Session]) -> Outcome:
         Row(marked("coherence above 300 Hz"), marked("effectively 0"), mean(300.0, 1000.0)),
     ]
     for curve, said in zip(plots[0].curves, ("8", "4", "6"), strict=False):
-        known = curve.y[curve.y > 0.0]
-        decades = float(np.log10(known.max() / np.quantile(known, 0.05)))
+        densities = curve.y[curve.y > 0.0]
+        decades = float(np.log10(densities.max() / np.quantile(densities, 0.05)))
         rows.append(Row(f"{str(curve.name).partition(' ')[0]}, decades to the noise floor", said, fixed(decades, 1)))
     alt = marked("Power spectral densities of voltage, force and position, and the coherence of force and position.")
     return drawn_grid("spectra", marked("Power spectra and coherence"), alt, [plots], row_height=3.4), rows
 
 
-def _bode(found: Overlay) -> Outcome:
-    model, record, _part = fitted(found, SpectralModel, "spectral")
+def _bode(overlay: Overlay) -> Outcome:
+    model, record, _part = fitted(overlay, SpectralModel, "spectral")
     spectra, system = model.spectra, model.second_order.system
     high = (spectra.frequency_hz > 80.0) & (spectra.frequency_hz < 190.0)
     slope = np.polyfit(np.log10(spectra.frequency_hz[high]), np.log10(spectra.magnitude[high]), 1)[0]
@@ -162,8 +162,8 @@ def _bode(found: Overlay) -> Outcome:
 # -- linear and Wiener fits -------------------------------------------------------------------------------------------
 
 
-def _impulse(found: Overlay) -> Outcome:
-    model, record, _part = fitted(found, LmsModel, "lms")
+def _impulse(overlay: Overlay) -> Outcome:
+    model, record, _part = fitted(overlay, LmsModel, "lms")
     p, system = model.report.parameters, model.second_order.system
     return drawn_grid(
         "impulse",
@@ -182,9 +182,9 @@ def _impulse(found: Overlay) -> Outcome:
     ]
 
 
-def _nonlinearity(found: Overlay) -> Outcome:
-    model, record, part = fitted(found, WienerModel, "wiener")
-    surface, p = entry_of(found, fit="wiener").surface_position_m, model.report.parameters
+def _nonlinearity(overlay: Overlay) -> Outcome:
+    model, record, part = fitted(overlay, WienerModel, "wiener")
+    surface, p = entry_of(overlay, fit="wiener").surface_position_m, model.report.parameters
     z, measured = linear_output(model, record, part)
     shallow, deep = 1.0 / model.nonlinearity.slope(np.quantile(z, (0.05, 0.95)))
     scatter = 1e3 * float(np.std(measured - model.nonlinearity(z)))
@@ -208,14 +208,14 @@ def _nonlinearity(found: Overlay) -> Outcome:
     ]
 
 
-def _iterations(found: Overlay) -> Outcome:
-    model, _record, _part = fitted(found, WienerModel, "wiener")
+def _iterations(overlay: Overlay) -> Outcome:
+    model, _record, _part = fitted(overlay, WienerModel, "wiener")
     history, last = model.history, model.history[-1].parameters
     settled = next(
         (
-            one.iteration
-            for one in history
-            if all(abs(one.parameters[n] / v - 1.0) < _SETTLED for n, v in last.items() if v and n in one.parameters)
+            step.iteration
+            for step in history
+            if all(abs(step.parameters[n] / v - 1.0) < _SETTLED for n, v in last.items() if v and n in step.parameters)
         ),
         history[-1].iteration,
     )
@@ -237,9 +237,9 @@ def _iterations(found: Overlay) -> Outcome:
     ]
 
 
-def _prediction(found: Overlay) -> Outcome:
-    runs = [held_out_prediction(name, entry_of(found, fit=name).analysis) for name in ("lms", "wiener")]
-    gain = entry_of(found, fit="wiener").shown_percent - entry_of(found, fit="lms").shown_percent
+def _prediction(overlay: Overlay) -> Outcome:
+    runs = [held_out_prediction(name, entry_of(overlay, fit=name).analysis) for name in ("lms", "wiener")]
+    gain = entry_of(overlay, fit="wiener").shown_percent - entry_of(overlay, fit="lms").shown_percent
     return drawn_grid(
         "prediction",
         marked("Measured and predicted position"),

@@ -174,7 +174,7 @@ def partition_errors(
 
 def _error(continuous: int, repetitions: int, seeds: Sequence[int]) -> PartitionError:
     engine = Depth(memory=_MEMORY_S, partitions=len(_LEVELS_N), downsample=1, offset="partition", hold="zero-order")
-    system, found = WienerSystem(), []
+    system, percents = WienerSystem(), []
     for seed in seeds:
         try:
             profile = engine.fit(_stepped(system, continuous, repetitions, seed)).depth_profile()
@@ -183,8 +183,8 @@ def _error(continuous: int, repetitions: int, seeds: Sequence[int]) -> Partition
         assert profile is not None
         truth = np.array([of(profile.position) for of in (system.mass, system.damping, system.stiffness)])
         values = np.array([profile.mass, profile.damping, profile.stiffness])
-        found.append(100.0 * float(np.nanmean(np.abs(values / truth - 1.0), axis=1).mean()))
-    return PartitionError(continuous, repetitions, float(np.mean(found)) if found else float("nan"))
+        percents.append(100.0 * float(np.nanmean(np.abs(values / truth - 1.0), axis=1).mean()))
+    return PartitionError(continuous, repetitions, float(np.mean(percents)) if percents else float("nan"))
 
 
 def _stepped(system: WienerSystem, continuous: int, repetitions: int, seed: int) -> Record:
@@ -206,21 +206,21 @@ def partition_error_plots(errors: Sequence[PartitionError]) -> tuple[Plot, Plot]
 
     A line for each number of repetitions; the level is 5 %.
     """
-    repetitions = sorted({one.repetitions for one in errors})
+    repetitions = sorted({case.repetitions for case in errors})
     level = Curve(np.ones(1), np.array([_TARGET_PERCENT]), "", "muted", "level", width=0.8)
 
     def against(label: str, size: Callable[[PartitionError], int]) -> Plot:
         curves = []
         for count, role in zip(repetitions, depth_roles(len(repetitions)), strict=True):
-            rows = [one for one in errors if one.repetitions == count]
+            rows = [item for item in errors if item.repetitions == count]
             name = Message("plot.repetitions", "repetitions: {count}", count=count)
-            error = np.array([one.mean_percent for one in rows])
-            curves.append(Curve(np.array([float(size(one)) for one in rows]), error, name, role, marker="o"))
+            error = np.array([item.mean_percent for item in rows])
+            curves.append(Curve(np.array([float(size(item)) for item in rows]), error, name, role, marker="o"))
         limits = float(min(map(size, errors))), float(max(map(size, errors)))
         y = Axis(marked("Error of M, B and K"), "%", log=True)
         return Plot("", Axis(label, log=True, limits=limits), y, (*curves, level))
 
     return (
-        against(marked("Continuous samples"), lambda one: one.continuous),
-        against(marked("Samples"), lambda one: one.points),
+        against(marked("Continuous samples"), lambda error: error.continuous),
+        against(marked("Samples"), lambda error: error.points),
     )
