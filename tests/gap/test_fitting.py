@@ -206,9 +206,9 @@ def test_estimates_are_kept_when_a_fit_continues():
     about = ("read", "sensing", "", "", "", "", (late,), ((0.0,),))
     one = Effect(*about, recording=lambda given, values: given, estimate_from_record=estimate_from_record)
     first = parametrise(observed(), [one])
-    assert parametrise(observed(), [one, effect("sensor_lag")], known=first).constants == {"read.late_s@1": 1e-3}
+    assert parametrise(observed(), [one, effect("sensor_lag")], continued=first).constants == {"read.late_s@1": 1e-3}
     assert len(asked) == 1
-    assert parametrise(observed(), [one], known=parametrise(observed())).constants == {"read.late_s@1": 2e-3}
+    assert parametrise(observed(), [one], continued=parametrise(observed())).constants == {"read.late_s@1": 2e-3}
 
 
 def test_lost_samples_are_re_estimated_with_the_fitted_rest():

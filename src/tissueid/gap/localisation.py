@@ -81,38 +81,38 @@ def back_emf_share(
     simulated = answer.predicted[test.number]["position"]
     _, believed = motion(test, simulated)
     expected = -scale * (velocity - believed)
-    left = interpolated(answer.residual(test, "current"))
-    window = np.hanning(left.size)
+    residual = interpolated(answer.residual(test, "current"))
+    window = np.hanning(residual.size)
     weight = float(np.sum(window**2))
-    hz = np.fft.rfftfreq(left.size, 1.0 / test.sample_rate_hz).astype(np.float64)
+    hz = np.fft.rfftfreq(residual.size, 1.0 / test.sample_rate_hz).astype(np.float64)
     inside = (hz > 0.3) & (hz < MOTION_HZ)
-    one = np.fft.rfft((expected - expected.mean()) * window)[inside]
-    other = np.fft.rfft((left - left.mean()) * window)[inside]
+    expected_spectrum = np.fft.rfft((expected - expected.mean()) * window)[inside]
+    residual_spectrum = np.fft.rfft((residual - residual.mean()) * window)[inside]
     noise = motion_noise(hz[inside], noise_m, test.sample_rate_hz) * scale**2 * weight
-    power = np.convolve(np.abs(one) ** 2, np.ones(_SMOOTHED_BINS) / _SMOOTHED_BINS, "same")
+    power = np.convolve(np.abs(expected_spectrum) ** 2, np.ones(_SMOOTHED_BINS) / _SMOOTHED_BINS, "same")
     signal = np.maximum(power - noise, 0.0)
     trust = signal / np.maximum(power, 1e-300)
-    floor = _level(other, noise_a**2 * weight)
+    floor = _level(residual_spectrum, noise_a**2 * weight)
     # Resistance, inductance and force constant are uncertain within the calibration, which can imitate motion.
     spread = baseline.parameters.dataset.instrument.calibration_relative_uncertainty
     simulated_a = interpolated(answer.predicted[test.number]["current"])
     nuisance = [simulated_a, np.diff(simulated_a, prepend=simulated_a[0]), scale * believed]
-    columns = [np.sqrt(trust / floor) * one]
+    columns = [np.sqrt(trust / floor) * expected_spectrum]
     for values in nuisance:
         spectrum = np.fft.rfft((values - values.mean()) * window)[inside]
         columns.append(np.sqrt(trust / floor) * spectrum)
     design = np.stack(columns, axis=1)
     normal = np.real(design.conj().T @ design)
     # Remove the power of the noise from that of the reading.
-    normal[0, 0] = float(np.sum(trust / floor * np.maximum(np.abs(one) ** 2 - noise, 0.0)))
+    normal[0, 0] = float(np.sum(trust / floor * np.maximum(np.abs(expected_spectrum) ** 2 - noise, 0.0)))
     normal += np.diag([1e-12, *(0.5 * np.array([spread, 1.0, spread]) ** -2.0)])
     if normal[0, 0] <= 1e-9:
         return BackEmfShare(float("nan"), float("inf"))
-    toward = np.real(design.conj().T @ (np.sqrt(trust / floor) * other))
-    found = np.linalg.solve(normal, toward)
-    rest = np.abs(np.sqrt(trust / floor) * other - design @ found) ** 2
+    toward = np.real(design.conj().T @ (np.sqrt(trust / floor) * residual_spectrum))
+    coefficients = np.linalg.solve(normal, toward)
+    rest = np.abs(np.sqrt(trust / floor) * residual_spectrum - design @ coefficients) ** 2
     excess = max(1.0, float(np.sum(rest) / max(np.sum(trust), 1e-9)))
-    return BackEmfShare(float(found[0]), float(np.sqrt(0.5 * excess * np.linalg.inv(normal)[0, 0])))
+    return BackEmfShare(float(coefficients[0]), float(np.sqrt(0.5 * excess * np.linalg.inv(normal)[0, 0])))
 
 
 def _level(spectrum: NDArray[np.complex128], least: float) -> FloatArray:
@@ -237,12 +237,12 @@ class _StageAnalysis:
 
     def _without_lines(self, answer: StageSimulation, floor: float, source: str) -> float:
         """Return the largest error of a simulation in floors without mains lines, which become a finding."""
-        left, hum = [], []
+        remaining, hum = [], []
         for test in answer.tests:
             residual = answer.residual(test)
-            found = mains_lines(residual, test.sample_rate_hz)
-            hum.append(found.deviation)
-            left.append(float(np.nanstd((residual - found.waveform)[_SETTLED:])))
+            mains = mains_lines(residual, test.sample_rate_hz)
+            hum.append(mains.deviation)
+            remaining.append(float(np.nanstd((residual - mains.waveform)[_SETTLED:])))
         times = float(np.hypot(max(hum), floor)) / floor
         what = Message(
             "evidence.mains",
@@ -251,7 +251,7 @@ class _StageAnalysis:
             source=source,
         )
         self._add("environment", what, times, answer.channel, floor)
-        return max(left) / floor
+        return max(remaining) / floor
 
     # -- upstream of the motion ---------------------------------------------------------------------------------
 
@@ -341,13 +341,16 @@ class _StageAnalysis:
             again = simulate_stage(self._baseline, tests, upstream, "position", free, floor, theta=afresh)
             answer = again if _worst(again) < _worst(answer) else answer
         self._without_lines(answer, floor, _FROM_CURRENT)
-        found = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
-        if found and found[0].after > _UNCHANGED_ERROR_SHARE * found[0].before > _UNCHANGED_ERROR_SHARE * MARGIN:
+        families = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
+        if (
+            families
+            and families[0].after > _UNCHANGED_ERROR_SHARE * families[0].before > _UNCHANGED_ERROR_SHARE * MARGIN
+        ):
             # If recorded and simulated motion differ much, as at an end stop, the force depends on the recorded one.
             along = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue, recorded=True)
-            found = along if along[0].after < found[0].after else found
-        self.errors[name] = found[0].before if found else 1.0
-        return _without_periodic_motion(found)
+            families = along if along[0].after < families[0].after else families
+        self.errors[name] = families[0].before if families else 1.0
+        return _without_periodic_motion(families)
 
     def _assign_stage(
         self,
@@ -387,50 +390,50 @@ class _StageAnalysis:
                 what = Message("evidence.current", "The current does not follow from voltage and motion")
                 self._add("coil", what, coil, "current", self._coil_floor())
         at_coil = any(item.stage == "coil" for item in self.findings)
-        for name, found in (("spring", mechanics), ("tissue", tissue)):
+        for name, families in (("spring", mechanics), ("tissue", tissue)):
             times = self.errors.get(name, 1.0)
-            if not found or self._slipped or max(times / MARGIN, found[0].gain / _LEAST_GAIN) <= 1.0:
+            if not families or self._slipped or max(times / MARGIN, families[0].gain / _LEAST_GAIN) <= 1.0:
                 continue
             floor = self._floors[name]
             if wrong_reading and not at_coil:
                 self._add("sensing", _READINGS[name], times, "position", floor)
                 continue
-            chosen = self._force_at_fault(name, found, at_coil, coil)
+            chosen = self._force_at_fault(name, families, at_coil, coil)
             what = Message(_FORCES[name].code, _FORCES[name].template, kind=chosen.kind)
             self._add(chosen.stage, what, times, "position", floor, least=1.0)
 
-    def _force_at_fault(self, name: str, found: Sequence[ForceFamily], at_coil: bool, coil: float) -> ForceFamily:
-        if not (coil > MARGIN and _late(found)) or at_coil:
-            found = [item for item in found if item.stage != "drive"]
+    def _force_at_fault(self, name: str, families: Sequence[ForceFamily], at_coil: bool, coil: float) -> ForceFamily:
+        if not (coil > MARGIN and _late(families)) or at_coil:
+            families = [item for item in families if item.stage != "drive"]
         on_fixture = self.errors.get("spring", 1.0) > MARGIN
-        best = found[0]
+        best = families[0]
         if name == "tissue" and self._fixture and not on_fixture:
             # An effect that is absent on the spring belongs to the tissue or the surroundings.
-            return next((item for item in found if item.stage in ("tissue", "environment")), best)
+            return next((item for item in families if item.stage in ("tissue", "environment")), best)
         if name == "tissue" and on_fixture:
-            best = next((item for item in found if item.stage not in ("tissue", "environment")), best)
+            best = next((item for item in families if item.stage not in ("tissue", "environment")), best)
         if self.errors.get("quiet", 1.0) > MARGIN and self.errors["quiet"] > 0.3 * self.errors[name]:
-            return next((item for item in found if item.stage == "environment"), best)
+            return next((item for item in families if item.stage == "environment"), best)
         if best.kind == PERIODIC and not on_fixture:
             # Over about one period a periodic force imitates any curved law, and a law of the tissue is likelier.
-            law = next((item for item in found if item.kind == DEPTH), best)
+            law = next((item for item in families if item.kind == DEPTH), best)
             best = law if law.gain >= _STATIC_GAIN_SHARE * best.gain else best
-        ours = next((item for item in found if item.stage == "coil"), best)
+        ours = next((item for item in families if item.stage == "coil"), best)
         return ours if at_coil and ours.gain > 0.3 * best.gain else best
 
 
-def _without_periodic_motion(found: Sequence[ForceFamily]) -> list[ForceFamily]:
+def _without_periodic_motion(families: Sequence[ForceFamily]) -> list[ForceFamily]:
     """Order periodic motion behind forces of time and past unless clearly better: it is flexible enough for both."""
-    others = [item for item in found if item.kind in OF_TIME_AND_PAST]
+    others = [item for item in families if item.kind in OF_TIME_AND_PAST]
     best = max((item.gain for item in others), default=-np.inf)
-    held_back = [item for item in found if item.stage == "environment" and item.gain < best + _PERIODIC_LEAD]
-    return sorted(found, key=lambda item: -(min(item.gain, best - 1e-6) if item in held_back else item.gain))
+    held_back = [item for item in families if item.stage == "environment" and item.gain < best + _PERIODIC_LEAD]
+    return sorted(families, key=lambda item: -(min(item.gain, best - 1e-6) if item in held_back else item.gain))
 
 
-def _late(found: Sequence[ForceFamily]) -> bool:
-    if not found or found[0].stage != "drive" or found[0].gain < 5.0 * _LEAST_GAIN:
+def _late(families: Sequence[ForceFamily]) -> bool:
+    if not families or families[0].stage != "drive" or families[0].gain < 5.0 * _LEAST_GAIN:
         return False
-    return found[0].after < max(1.1, 0.6 * found[0].before)
+    return families[0].after < max(1.1, 0.6 * families[0].before)
 
 
 def _worst(answer: StageSimulation) -> float:
@@ -488,14 +491,14 @@ def localise(dataset: Dataset, baseline: Candidate) -> Localisation:
         dataset: the tests.
         baseline: the refitted baseline with its errors on held-out data.
     """
-    found = _StageAnalysis(without_outliers(dataset, baseline.fit), baseline.fit)
-    found.run()
-    nearest = {stage: found.errors[name] for name, stage in _SIMULATED.items() if name in found.errors}
+    analysis = _StageAnalysis(without_outliers(dataset, baseline.fit), baseline.fit)
+    analysis.run()
+    nearest = {stage: analysis.errors[name] for name, stage in _SIMULATED.items() if name in analysis.errors}
     weights = dict.fromkeys(STAGES, 0.0)
-    for item in found.findings:
+    for item in analysis.findings:
         weights[item.stage] = max(weights[item.stage], item.weight)
     total = sum(weights.values())
     shares = {stage: weight / total if total > 0.0 else 0.0 for stage, weight in weights.items()}
     blamed = max(STAGES, key=lambda stage: (weights[stage], nearest.get(stage, 0.0)))
     regions = find_error_regions(dataset, baseline.fit)
-    return Localisation(blamed, shares, tuple(found.findings), regions, nearest, found.errors)
+    return Localisation(blamed, shares, tuple(analysis.findings), regions, nearest, analysis.errors)

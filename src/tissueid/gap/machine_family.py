@@ -67,12 +67,12 @@ def with_best_family(dataset: Dataset) -> Dataset:
     if about is None:
         return dataset
     base = _integrating(dataset, about) or _free_running(dataset, about)
-    found = _with_second_mass(*base)
-    chosen = found.equivalent
+    best = _with_second_mass(*base)
+    chosen = best.equivalent
     if chosen is None or chosen.family == "oscillator":
-        return found
+        return best
     remark = Message("gap.machine_family", "the baseline is {family}", family=FAMILY_NAMES[chosen.family])
-    return replace(found, remarks=(*found.remarks, remark))
+    return replace(best, remarks=(*best.remarks, remark))
 
 
 def _integrating(dataset: Dataset, about: Equivalent) -> tuple[Dataset, Fit] | None:
@@ -90,8 +90,8 @@ def _integrating(dataset: Dataset, about: Equivalent) -> tuple[Dataset, Fit] | N
     slow = device.bearing_damping_n_s_per_m / stiffness > SLOW_WINDOWS * (restart or 0.0)
     if gained >= SPRING_GAIN and not slow:
         return None
-    found = without.parameters.dataset
-    chosen = found.equivalent
+    integrating = without.parameters.dataset
+    chosen = integrating.equivalent
     assert chosen is not None
     assert chosen.restart_s is not None
     remark = Message(
@@ -100,7 +100,7 @@ def _integrating(dataset: Dataset, about: Equivalent) -> tuple[Dataset, Fit] | N
         "prediction starts again from the recorded motion",
         seconds=chosen.restart_s,
     )
-    return replace(found, remarks=(*found.remarks, remark)), without
+    return replace(integrating, remarks=(*integrating.remarks, remark)), without
 
 
 def _free_running(dataset: Dataset, about: Equivalent) -> tuple[Dataset, Fit]:
@@ -125,13 +125,13 @@ def _with_second_mass(dataset: Dataset, fitted: Fit) -> Dataset:
     if about.output_is_velocity:
         return dataset
     lines = _lines(dataset)
-    one = _residual(lines, about, 3)[0]
+    single_mass_residual = _residual(lines, about, 3)[0]
     before = score_candidate(fitted).score
     best, least = dataset, np.inf
     families: tuple[Family, ...] = ("driven_mass", "far_mass")
     for family in families:
-        left, start = _two_masses(lines, about, family)
-        if left > COUPLING_RESPONSE * one:
+        residual, start = _two_masses(lines, about, family)
+        if residual > COUPLING_RESPONSE * single_mass_residual:
             continue
         other = _fit(dataset, start)
         if score_candidate(other).score > before - WORTH_FRICTION:
@@ -149,8 +149,8 @@ def _with_friction(fitted: Fit) -> float:
     dataset = fitted.parameters.dataset
     signals = [test.signals for test in dataset.tests]
     starts = friction_starts(signals, dataset.tests[0].sample_rate_hz)
-    found = [fit(dataset, (friction,), (start,), near=fitted, most_steps=_FEW_STEPS) for start in starts]
-    return min(score_candidate(one).score for one in found)
+    fits = [fit(dataset, (friction,), (start,), near=fitted, most_steps=_FEW_STEPS) for start in starts]
+    return min(score_candidate(item).score for item in fits)
 
 
 def _fit(dataset: Dataset, about: Equivalent) -> Fit:
@@ -186,7 +186,7 @@ def in_windows(dataset: Dataset, about: Equivalent) -> Dataset | None:
     least = WINDOW_NOISE * float(np.sqrt(np.mean(moved)))
     # White noise of the output from third differences, which leave little of the motion.
     third = [np.abs(np.diff(interpolated(test.signals["position"]), 3) / np.sqrt(20.0)) for test in tests]
-    white = float(np.mean([1.4826 * np.median(left) for left in third]))
+    white = float(np.mean([1.4826 * np.median(differences) for differences in third]))
     # The velocity at a restart is uncertain, and its error grows to that over half a window. Corners exaggerate it.
     begun = float(np.sqrt(np.mean([velocity_error(test, about) ** 2 for test in tests])))
     noise = dataset.noise | {"position": float(np.hypot(max(least, white), min(0.5 * length * begun, 2.0 * least)))}
@@ -197,16 +197,16 @@ def _purposes(test: DatasetTest, starts: Sequence[int]) -> NDArray[np.int8]:
     # The same pattern of purposes, by windows. States that are not recorded are unknown in the first window.
     used = {int(item) for item in np.unique(test.purpose)} - {int(Purpose.NOTHING)}
     if len(used) < 2:
-        found = np.where(test.purpose == Purpose.NOTHING, min(used, default=0), test.purpose).astype(np.int8)
-        found[: starts[1] if len(starts) > 1 else 0] = Purpose.NOTHING
-        return found
+        purposes = np.where(test.purpose == Purpose.NOTHING, min(used, default=0), test.purpose).astype(np.int8)
+        purposes[: starts[1] if len(starts) > 1 else 0] = Purpose.NOTHING
+        return purposes
     turns = [Purpose.FIT, Purpose.CHOICE, Purpose.FIT, Purpose.CHECK]
     if int(Purpose.FIT) not in used:
         turns = [Purpose.CHOICE, Purpose.CHECK]
-    found = np.zeros(test.purpose.size, np.int8)
+    purposes = np.zeros(test.purpose.size, np.int8)
     for k, (first, end) in enumerate(zip(starts, (*starts[1:], test.purpose.size), strict=True)):
-        found[first:end] = turns[(k - 1) % len(turns)] if k else Purpose.NOTHING
-    return found
+        purposes[first:end] = turns[(k - 1) % len(turns)] if k else Purpose.NOTHING
+    return purposes
 
 
 def _regressed(dataset: Dataset) -> FloatArray:
@@ -227,8 +227,8 @@ def _regressed(dataset: Dataset) -> FloatArray:
         forces.append(savgol_filter(test.command, width, 2)[fitted])
     design, force = np.concatenate(rows), np.concatenate(forces)
     size = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-30)
-    found, *_ = np.linalg.lstsq(design / size, force, rcond=1e-10)
-    return np.asarray(found / size)[:3]
+    coefficients, *_ = np.linalg.lstsq(design / size, force, rcond=1e-10)
+    return np.asarray(coefficients / size)[:3]
 
 
 def _started(dataset: Dataset, family: Family, figures: FloatArray) -> Equivalent:
@@ -247,8 +247,8 @@ def _started(dataset: Dataset, family: Family, figures: FloatArray) -> Equivalen
 def _lines(dataset: Dataset) -> FrequencyResponse:
     tests = [test for test in dataset.tests if test.serving(Purpose.FIT).any()]
     records = [(test.command, interpolated(test.signals["position"])) for test in tests]
-    found = frequency_response(records, tests[0].sample_rate_hz)
-    return found.every(max(1, found.omega.size // _MOST_LINES))
+    response = frequency_response(records, tests[0].sample_rate_hz)
+    return response.every(max(1, response.omega.size // _MOST_LINES))
 
 
 def _residual(
@@ -267,8 +267,8 @@ def _residual(
     size = np.maximum(np.sqrt(np.mean(np.abs(design) ** 2, axis=0)), 1e-300)
     rows = weight[:, None] * design / size
     target = weight * np.exp(-1j * lines.omega * about.delay_s)
-    found, left = nnls(np.concatenate([rows.real, rows.imag]), np.concatenate([target.real, target.imag]))
-    return float(left**2), np.asarray(found / size)
+    coefficients, residual = nnls(np.concatenate([rows.real, rows.imag]), np.concatenate([target.real, target.imag]))
+    return float(residual**2), np.asarray(coefficients / size)
 
 
 def _two_masses(lines: FrequencyResponse, about: Equivalent, family: Family) -> tuple[float, Equivalent]:
@@ -279,15 +279,15 @@ def _two_masses(lines: FrequencyResponse, about: Equivalent, family: Family) -> 
         for ratio in _RATIOS:
             coupling = omega**2 + 2.0 * ratio * omega * s
             shape = s**2 * coupling / (s**2 + coupling) if family == "driven_mass" else s**4 / coupling
-            left, (stiffness, damping, mass, other) = _residual(lines, about, 3, shape)
+            residual, (stiffness, damping, mass, other) = _residual(lines, about, 3, shape)
             own = mass if family == "driven_mass" else mass - other
-            if left >= best or other <= 0.0 or own <= 0.02 * other:
+            if residual >= best or other <= 0.0 or own <= 0.02 * other:
                 continue
             # The declared resonance is that of the mass of the output against the other one at rest.
             share = other / own
             hz = omega / (2.0 * np.pi) * (np.sqrt(share) if family == "driven_mass" else 1.0)
             scale = np.sqrt(share) if family == "driven_mass" else 1.0
-            best = left
+            best = residual
             start = replace(
                 about,
                 family=family,

@@ -108,13 +108,13 @@ def next_experiment(
         return None
     noise = _noise(dataset, rivals[0])
     factors = [_factor(rival) for rival in rivals]
-    found = [(*_expected(item, rivals, factors, weights, noise), item) for item in items]
-    gain, separation, chosen = max(found, key=lambda entry: entry[0])
+    expectations = [(*_expected(item, rivals, factors, weights, noise), item) for item in items]
+    gain, separation, chosen = max(expectations, key=lambda entry: entry[0])
     if gain < LEAST_GAIN_NATS:
         return None
     shared = set.intersection(*(set(rival.effects) for rival in rivals))
     names = tuple(dict.fromkeys(name for rival in rivals for name in rival.effects if name not in shared))
-    gains = {item.kind: each for each, _, item in found}
+    gains = {item.kind: each for each, _, item in expectations}
     others = sorted((each for each in gains.values()), reverse=True)
     why = Message(
         "gap.next_test",
@@ -152,11 +152,11 @@ def odds(gain_nats: float) -> str:
 
 def _noise(dataset: Dataset, best: Candidate) -> dict[str, float]:
     # A prediction of the next test is no better than the residual of the best candidate.
-    found = {}
+    noise = {}
     for name in dataset.channels:
         ratios = [item.ratio for item in best.checked_by if item.channel == name]
-        found[name] = dataset.noise[name] * float(np.sqrt(np.mean(ratios))) if ratios else dataset.noise[name]
-    return found
+        noise[name] = dataset.noise[name] * float(np.sqrt(np.mean(ratios))) if ratios else dataset.noise[name]
+    return noise
 
 
 def _expected(
@@ -178,10 +178,10 @@ def _expected(
     return gain / total, float(np.sqrt(separation / total))
 
 
-def _distance(one: _Predicted, other: _Predicted) -> float:
+def _distance(first: _Predicted, second: _Predicted) -> float:
     """Return the mean square distance that the parameters cannot absorb: d' (I + V V')^-1 d / m."""
-    difference = one.values - other.values
-    columns = np.concatenate([one.columns, other.columns], axis=1)
+    difference = first.values - second.values
+    columns = np.concatenate([first.columns, second.columns], axis=1)
     inner = np.eye(columns.shape[1]) + columns.T @ columns
     along = columns.T @ difference
     return max(float(difference @ difference - along @ np.linalg.solve(inner, along)), 0.0) / difference.size

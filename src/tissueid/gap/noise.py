@@ -53,12 +53,12 @@ class MainsLines:
 def mains_lines(residual: FloatArray, rate_hz: float) -> MainsLines:
     """Return the mains frequency and its harmonics in a residual, shape (n,)."""
     none = MainsLines(0.0, np.zeros_like(residual), 0.0)
-    known = np.isfinite(residual)
-    if known.sum() < 0.5 * residual.size or residual.size < 512:
+    finite = np.isfinite(residual)
+    if finite.sum() < 0.5 * residual.size or residual.size < 512:
         return none
     values = interpolated(residual)
-    found = [(_standing(values, hz, rate_hz), hz) for hz in MAINS_HZ]
-    standing, hz = max(found, key=lambda item: sum(ratio for ratio, _ in item[0]))
+    candidates = [(_standing(values, hz, rate_hz), hz) for hz in MAINS_HZ]
+    standing, hz = max(candidates, key=lambda item: sum(ratio for ratio, _ in item[0]))
     chosen = [k for ratio, k in standing if ratio > _LINE_POWER_RATIO]
     if not chosen:
         return none
@@ -70,7 +70,7 @@ def mains_lines(residual: FloatArray, rate_hz: float) -> MainsLines:
             phase = 2.0 * np.pi * k * at_hz * time
             columns += [np.sin(phase), np.cos(phase)]
         design = np.stack(columns, axis=1)
-        weights = np.linalg.solve(design[known].T @ design[known], design[known].T @ residual[known])
+        weights = np.linalg.solve(design[finite].T @ design[finite], design[finite].T @ residual[finite])
         return np.asarray(design[:, 1:] @ weights[1:])
 
     # The mains differs slightly from its nominal frequency.
@@ -84,7 +84,7 @@ def _standing(values: FloatArray, hz: float, rate_hz: float) -> list[tuple[float
     window = np.hanning(values.size)
     power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2
     spacing = rate_hz / values.size
-    found = []
+    ratios = []
     for k in range(1, _HARMONICS + 1):
         middle = round(k * hz / spacing)
         if middle + _NEIGHBOURS[1] >= power.size or middle - _NEIGHBOURS[1] < 1:
@@ -95,8 +95,8 @@ def _standing(values: FloatArray, hz: float, rate_hz: float) -> list[tuple[float
                 power[middle + _NEIGHBOURS[0] : middle + _NEIGHBOURS[1]],
             ]
         )
-        found.append((float(power[middle - 1 : middle + 2].max() / max(np.median(near), 1e-300)), k))
-    return found
+        ratios.append((float(power[middle - 1 : middle + 2].max() / max(np.median(near), 1e-300)), k))
+    return ratios
 
 
 def settling_samples(size: int, rate_hz: float) -> int:
@@ -106,12 +106,12 @@ def settling_samples(size: int, rate_hz: float) -> int:
 
 def quiet_motion(residual: FloatArray, rate_hz: float) -> float:
     """Return the standard deviation of a quiet record without a linear trend and slow relaxations, SI."""
-    known = np.isfinite(residual)
-    known[: settling_samples(residual.size, rate_hz)] = False
-    time = np.arange(residual.size)[known] / rate_hz
+    usable = np.isfinite(residual)
+    usable[: settling_samples(residual.size, rate_hz)] = False
+    time = np.arange(residual.size)[usable] / rate_hz
     design = np.stack([np.ones_like(time), time, np.exp(-time / 0.3), np.exp(-time / 0.08)], axis=1)
-    weights, *_ = np.linalg.lstsq(design, residual[known], rcond=1e-10)
-    return float(np.std(residual[known] - design @ weights))
+    weights, *_ = np.linalg.lstsq(design, residual[usable], rcond=1e-10)
+    return float(np.std(residual[usable] - design @ weights))
 
 
 def rests(dataset: Dataset) -> bool:
@@ -138,23 +138,24 @@ def lost_samples(reference: FloatArray, signal: FloatArray, rate_hz: float) -> i
     are left out.
     """
     block = max(32, round(_BLOCK_S * rate_hz))
-    one, other = interpolated(reference), interpolated(signal)
-    spread = float(np.std(one))
-    found, before, after = [], 0.0, 0.0
-    for first in range(_MOST_LAG, one.size - block - _MOST_LAG, block):
-        part = other[first : first + block]
-        if np.std(one[first : first + block]) < 0.2 * spread or spread == 0.0:
+    filled_reference, filled_signal = interpolated(reference), interpolated(signal)
+    spread = float(np.std(filled_reference))
+    lags, before, after = [], 0.0, 0.0
+    for first in range(_MOST_LAG, filled_reference.size - block - _MOST_LAG, block):
+        part = filled_signal[first : first + block]
+        if np.std(filled_reference[first : first + block]) < 0.2 * spread or spread == 0.0:
             continue
         errors = [
-            float(np.sum((part - one[first - lag : first - lag + block]) ** 2)) for lag in range(-_MOST_LAG, _MOST_LAG)
+            float(np.sum((part - filled_reference[first - lag : first - lag + block]) ** 2))
+            for lag in range(-_MOST_LAG, _MOST_LAG)
         ]
-        found.append(int(np.argmin(errors)) - _MOST_LAG)
+        lags.append(int(np.argmin(errors)) - _MOST_LAG)
         before, after = before + errors[_MOST_LAG], after + min(errors)
-    if len(found) < 4 or not after <= _MOST_REMAINING * before or before == 0.0:
+    if len(lags) < 4 or not after <= _MOST_REMAINING * before or before == 0.0:
         return 0
-    moved = found[-1] - found[0]
+    moved = lags[-1] - lags[0]
     # Losses accumulate: most changes of the lag have one sign.
-    steps = np.diff(found)
+    steps = np.diff(lags)
     same = np.sum(np.sign(steps) == np.sign(moved)) if moved else 0
     return moved if abs(moved) >= 2 and same >= np.sum(steps != 0) * 0.7 else 0
 
@@ -175,16 +176,16 @@ FAR = 6.0
 
 def robust_noise(fitted: Fit) -> dict[str, float]:
     """Return the robust standard deviation of each channel's noise, SI: the least of all tests."""
-    found: dict[str, float] = {}
+    levels: dict[str, float] = {}
     for test, predicted in zip(fitted.parameters.dataset.tests, fitted.predictions, strict=True):
         for name in fitted.parameters.dataset.channels:
             if name == "position" and coarse_step(test.signals[name]) > 0.0:
                 continue  # most neighbouring readings are then equal
             away = _from_neighbours(test.signals[name] - predicted[name])
-            known = np.abs(away[np.isfinite(away)])
-            level = float(np.quantile(known, 0.25)) / (_QUARTER * _SPREAD) if known.size else np.inf
-            found[name] = min(found.get(name, np.inf), level)
-    return found
+            distances = np.abs(away[np.isfinite(away)])
+            level = float(np.quantile(distances, 0.25)) / (_QUARTER * _SPREAD) if distances.size else np.inf
+            levels[name] = min(levels.get(name, np.inf), level)
+    return levels
 
 
 def with_robust_noise(fitted: Fit) -> Dataset:
@@ -231,11 +232,11 @@ def without_outliers(dataset: Dataset, fitted: Fit) -> Dataset:
     return replace(dataset, tests=tuple(tests))
 
 
-def _from_neighbours(left: FloatArray) -> FloatArray:
+def _from_neighbours(residual: FloatArray) -> FloatArray:
     # Distance of every reading from the cubic through its neighbours; NaN where one of them is missing.
-    away = np.full_like(left, np.nan)
-    if left.size >= _NEIGHBOUR_WEIGHTS.size:
-        away[2:-2] = left[2:-2] - np.convolve(left, _NEIGHBOUR_WEIGHTS, "valid")
+    away = np.full_like(residual, np.nan)
+    if residual.size >= _NEIGHBOUR_WEIGHTS.size:
+        away[2:-2] = residual[2:-2] - np.convolve(residual, _NEIGHBOUR_WEIGHTS, "valid")
     return away
 
 
@@ -296,15 +297,15 @@ def _without_upstream(test: DatasetTest, name: str) -> list[FloatArray]:
         columns += [np.roll(motion, lag) for lag in range(-_LAGS // 2, _LAGS // 2 + 1)]
     if not columns:
         return [values]
-    known = np.isfinite(values) & np.all([np.isfinite(column) for column in columns], axis=0)
-    known[:_LAGS] = False
-    known[-_LAGS:] = False
-    if known.sum() < 256:
+    usable = np.isfinite(values) & np.all([np.isfinite(column) for column in columns], axis=0)
+    usable[:_LAGS] = False
+    usable[-_LAGS:] = False
+    if usable.sum() < 256:
         return []
-    design = np.stack([column[known] for column in columns] + [np.ones(int(known.sum()))], axis=1)
+    design = np.stack([column[usable] for column in columns] + [np.ones(int(usable.sum()))], axis=1)
     design /= np.linalg.norm(design, axis=0) + np.finfo(np.float64).tiny
-    found, *_ = np.linalg.lstsq(design, values[known], rcond=1e-10)
-    return [values, values[known] - design @ found]
+    weights, *_ = np.linalg.lstsq(design, values[usable], rcond=1e-10)
+    return [values, values[usable] - design @ weights]
 
 
 def _smooth(values: FloatArray) -> FloatArray:
@@ -327,9 +328,9 @@ def coarse_step(values: FloatArray) -> float:
 
 def _level_by_neighbours(test: DatasetTest) -> float:
     # A static function of the command is linear over three neighbouring commands.
-    known = np.isfinite(test.signals["voltage"])
-    order = np.argsort(test.command[known], kind="stable")
-    at, values = test.command[known][order], test.signals["voltage"][known][order]
+    finite = np.isfinite(test.signals["voltage"])
+    order = np.argsort(test.command[finite], kind="stable")
+    at, values = test.command[finite][order], test.signals["voltage"][finite][order]
     span = at[2:] - at[:-2]
     share = np.where(span > 0.0, (at[1:-1] - at[:-2]) / np.where(span > 0.0, span, 1.0), 0.5)
     bend = values[1:-1] - (1.0 - share) * values[:-2] - share * values[2:]
@@ -343,9 +344,9 @@ def _level_by_neighbours(test: DatasetTest) -> float:
 def _level(values: FloatArray) -> float:
     if np.isfinite(values).sum() < _BLOCK:
         return 0.0
-    known = interpolated(values)[values.size // 10 :]
-    if known.size < _BLOCK:
+    settled = interpolated(values)[values.size // 10 :]
+    if settled.size < _BLOCK:
         return 0.0
     # The median over blocks ignores jumps at the start of a stimulus or at lost samples.
-    _, density = welch(known, 1.0, nperseg=_BLOCK, average="median")
+    _, density = welch(settled, 1.0, nperseg=_BLOCK, average="median")
     return float(np.sqrt(0.5 * np.mean(density[round(0.84 * density.size) :])))

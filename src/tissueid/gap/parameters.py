@@ -157,12 +157,12 @@ class Parametrisation:
 
     def acting(self, theta: FloatArray, test: DatasetTest) -> list[ActiveEffect]:
         """Return the effects with their parameters in a test, after the coupling of an equivalent machine."""
-        found = [ActiveEffect(effect, self.effect_values(theta, effect, test.number)) for effect in self.effects]
+        active = [ActiveEffect(effect, self.effect_values(theta, effect, test.number)) for effect in self.effects]
         about = self.dataset.equivalent
         if about is None or not about.has_coupling:
-            return found
+            return active
         values = [float(np.exp(self.value(theta, name))) for name in _COUPLING]
-        return [ActiveEffect(COUPLING, np.array([*values, float(about.family == "far_mass")])), *found]
+        return [ActiveEffect(COUPLING, np.array([*values, float(about.family == "far_mass")])), *active]
 
     def fastest(self, theta: FloatArray) -> float:
         """Return the angular frequency of the coupling of an equivalent machine, rad/s; 0 without a coupling."""
@@ -211,10 +211,10 @@ def starts_of(dataset: Dataset, effect: Effect, predictions: Sequence[Mapping[st
     if effect.starts_from is None:
         return effect.starts
     signals = [_signals(test, predicted) for test, predicted in zip(dataset.tests, predictions, strict=True)]
-    found = effect.starts_from(signals, dataset.tests[0].sample_rate_hz)
+    from_signals = effect.starts_from(signals, dataset.tests[0].sample_rate_hz)
     within = (
         start
-        for start in found
+        for start in from_signals
         if all(item.low <= value <= item.high for item, value in zip(effect.parameters, start, strict=True))
     )
     return (*effect.starts, *within)
@@ -225,7 +225,7 @@ def parametrise(
     effects: Sequence[Effect] = (),
     starts: Sequence[Sequence[float]] = (),
     predictions: Sequence[Mapping[str, FloatArray]] = (),
-    known: Parametrisation | None = None,
+    continued: Parametrisation | None = None,
 ) -> Parametrisation:
     """Return the coordinates of baseline and effects.
 
@@ -234,27 +234,27 @@ def parametrise(
         effects: effects in addition to the baseline.
         starts: starting point of each effect; its first declared one where there is none.
         predictions: predictions of a fitted baseline for each test, where there is one.
-        known: coordinates of a fit that is continued. Its estimates from the record are kept: they must not be repeated
-            on a residual that they have already reduced, and they take time.
+        continued: coordinates of a fit that is continued. Its estimates from the record are kept: they must not be
+            repeated on a residual that they have already reduced, and they take time.
     """
-    found = _of_mass(dataset) if dataset.equivalent is not None else _of_instrument(dataset)
+    coordinates = _of_mass(dataset) if dataset.equivalent is not None else _of_instrument(dataset)
     constants: dict[str, float] = {}
     signals = [_signals(test, predictions[k] if k < len(predictions) else {}) for k, test in enumerate(dataset.tests)]
     for k, effect in enumerate(effects):
         start = starts[k] if k < len(starts) else effect.starts[0]
-        has_been_read = known is not None and effect in known.effects
+        has_been_read = continued is not None and effect in continued.effects
         read = [{} for _ in signals] if has_been_read else _estimate_all(dataset.tests, effect, signals)
         for parameter, begin in zip(effect.parameters, start, strict=True):
-            _add(dataset, effect, parameter, begin, read, found, constants)
+            _add(dataset, effect, parameter, begin, read, coordinates, constants)
     if any(effect.switches for effect in effects):
-        found = [replace(item, step=WIDER * item.step) for item in found]
-    found = [_with_prior(item, dataset.priors) for item in found]
+        coordinates = [replace(item, step=WIDER * item.step) for item in coordinates]
+    coordinates = [_with_prior(item, dataset.priors) for item in coordinates]
     constants |= {name: held.value for name, held in dataset.priors.items() if name in constants and "@" not in name}
-    if known is not None:
-        both = {effect.name for effect in effects} & {effect.name for effect in known.effects}
-        constants |= {name: value for name, value in known.constants.items() if name.partition(".")[0] in both}
-    index = {item.name: k for k, item in enumerate(found)}
-    return Parametrisation(dataset, tuple(effects), tuple(found), index, constants)
+    if continued is not None:
+        both = {effect.name for effect in effects} & {effect.name for effect in continued.effects}
+        constants |= {name: value for name, value in continued.constants.items() if name.partition(".")[0] in both}
+    index = {item.name: k for k, item in enumerate(coordinates)}
+    return Parametrisation(dataset, tuple(effects), tuple(coordinates), index, constants)
 
 
 def _with_prior(item: Coordinate, priors: Mapping[str, Prior]) -> Coordinate:
@@ -274,7 +274,7 @@ def _of_instrument(dataset: Dataset) -> list[Coordinate]:
     wide = WITHIN_STDS * spread
     driven = {test.driven_by for test in dataset.tests}
     left_out = _WITHOUT_INFLUENCE if driven == {"current"} else ("amplifier_gain",) if "command" not in driven else ()
-    found = [
+    coordinates = [
         Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread)
         for ours in INSTRUMENT_COORDINATES
         if ours not in left_out
@@ -283,15 +283,15 @@ def _of_instrument(dataset: Dataset) -> list[Coordinate]:
     along, uncertainty = dataset.gravity_m_s2
     likely = dataset.instrument.moving_mass_kg * along
     std = float(np.hypot(dataset.instrument.moving_mass_kg * uncertainty, spread * likely))
-    found.append(Coordinate("weight_n", likely, -1.1 * weight, 1.1 * weight, 1e-3, weight, likely, std))
+    coordinates.append(Coordinate("weight_n", likely, -1.1 * weight, 1.1 * weight, 1e-3, weight, likely, std))
     if any(test.fixture == "tissue" for test in dataset.tests):
-        found += [_scaled(*item) for item in _TISSUE]
+        coordinates += [_scaled(*item) for item in _TISSUE]
     if any(test.fixture == "spring" for test in dataset.tests):
-        found += [_scaled(*item) for item in _SPRING]
+        coordinates += [_scaled(*item) for item in _SPRING]
     for fixture, name in (("tissue", SURFACE_SHIFT), ("spring", SPRING_SHIFT)):
         if any(test.fixture == fixture and not test.starts_at_surface for test in dataset.tests):
-            found.append(Coordinate(name, 0.0, -1e-3, 1e-3, 1e-6, SURFACE_STD_M, 0.0, SURFACE_STD_M))
-    return found
+            coordinates.append(Coordinate(name, 0.0, -1e-3, 1e-3, 1e-6, SURFACE_STD_M, 0.0, SURFACE_STD_M))
+    return coordinates
 
 
 def _of_mass(dataset: Dataset) -> list[Coordinate]:
@@ -301,22 +301,22 @@ def _of_mass(dataset: Dataset) -> list[Coordinate]:
     rate = dataset.tests[0].sample_rate_hz
     stiffness = float(np.log(about.stiffness_n_per_m))
     late = MOST_DELAY_SAMPLES / rate
-    found = [
+    coordinates = [
         Coordinate("moving_mass_kg", 0.0, -_WIDE, _WIDE, 1e-4, 0.3),
         Coordinate("bearing_damping_n_s_per_m", 0.0, -_WIDE, _WIDE, 1e-3, 0.5),
         Coordinate("weight_n", 0.0, -3.0 * FORCE_N, 3.0 * FORCE_N, 1e-3, FORCE_N, 0.0, FORCE_N),
         Coordinate(DELAY, about.delay_s, about.delay_s - late, about.delay_s + late, 1e-3 / rate, 0.2 / rate),
     ]
     if about.has_spring:
-        found[2:2] = [
+        coordinates[2:2] = [
             Coordinate("tissue_stiffness_n_per_m", stiffness, stiffness - _WIDE, stiffness + _WIDE, 1e-4, 0.3)
         ]
-        found[4:4] = [Coordinate("rest_m", 0.0, -5.0 * _REST_M, 5.0 * _REST_M, 1e-6, _REST_M, 0.0, _REST_M)]
+        coordinates[4:4] = [Coordinate("rest_m", 0.0, -5.0 * _REST_M, 5.0 * _REST_M, 1e-6, _REST_M, 0.0, _REST_M)]
     if about.has_coupling:
         for name, start, wide in zip(_COUPLING, about.coupling, _COUPLING_RANGES, strict=True):
             at = float(np.log(start))
-            found.append(Coordinate(name, at, at - wide, at + wide, 1e-3, 0.3))
-    return found
+            coordinates.append(Coordinate(name, at, at - wide, at + wide, 1e-3, 0.3))
+    return coordinates
 
 
 def _signals(test: DatasetTest, predicted: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -343,17 +343,20 @@ def _estimate_all(
     tests: Sequence[DatasetTest], effect: Effect, signals: Sequence[Mapping[str, FloatArray]]
 ) -> list[Mapping[str, float]]:
     if effect.estimate_from_records is None:
-        return [_estimate(effect, known, test.sample_rate_hz) for test, known in zip(tests, signals, strict=True)]
+        return [
+            _estimate(effect, test_signals, test.sample_rate_hz)
+            for test, test_signals in zip(tests, signals, strict=True)
+        ]
     acts = [
         k
         for k, test in enumerate(tests)
         if (test.fixture == "tissue" or effect.on_spring) and effect.needs <= set(signals[k])
     ]
-    found: list[Mapping[str, float]] = [{} for _ in tests]
+    estimates: list[Mapping[str, float]] = [{} for _ in tests]
     used = [_used(tests[k], signals[k]) for k in acts]
     for k, values in zip(acts, effect.estimate_from_records(used, tests[0].sample_rate_hz), strict=True):
-        found[k] = values
-    return found
+        estimates[k] = values
+    return estimates
 
 
 def _used(test: DatasetTest, signals: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
@@ -369,7 +372,7 @@ def _add(
     parameter: Parameter,
     begin: float,
     read: Sequence[Mapping[str, float]],
-    found: list[Coordinate],
+    coordinates: list[Coordinate],
     constants: dict[str, float],
 ) -> None:
     # Coordinates of one parameter, one in all or one a test; or its constants.
@@ -378,7 +381,7 @@ def _add(
         if parameter.fixed:
             constants[name] = begin
         else:
-            found.append(_coordinate(name, parameter, begin, None))
+            coordinates.append(_coordinate(name, parameter, begin, None))
         return
     for test, values in zip(dataset.tests, read, strict=True):
         at = values.get(parameter.name, begin)
@@ -386,7 +389,7 @@ def _add(
         if parameter.fixed or not test.serving(Purpose.FIT).any():
             constants[f"{name}@{test.number}"] = at
         else:
-            found.append(_coordinate(f"{name}@{test.number}", parameter, at, test.number))
+            coordinates.append(_coordinate(f"{name}@{test.number}", parameter, at, test.number))
 
 
 def _coordinate(name: str, parameter: Parameter, begin: float, test: int | None) -> Coordinate:

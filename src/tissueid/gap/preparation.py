@@ -139,8 +139,8 @@ def _on_one_surface(tests: Sequence[DatasetTest]) -> tuple[DatasetTest, ...]:
     depth = float(np.median(starts - surfaces))
     if np.ptp(starts) <= AT_SURFACE_M:
         starts[:] = np.median(starts)
-    found = {test.number: float(start) - depth for test, start in zip(resting, starts, strict=True)}
-    return tuple(replace(test, surface_m=found.get(test.number, test.surface_m)) for test in tests)
+    new_surfaces = {test.number: float(start) - depth for test, start in zip(resting, starts, strict=True)}
+    return tuple(replace(test, surface_m=new_surfaces.get(test.number, test.surface_m)) for test in tests)
 
 
 def _gravity(tests: Sequence[Test]) -> tuple[float, float]:
@@ -148,13 +148,13 @@ def _gravity(tests: Sequence[Test]) -> tuple[float, float]:
 
     Where it was not measured, or changed between the tests, any orientation is possible.
     """
-    found = [
+    measured = [
         test.notes.get("gravity_along_stroke_m_s2") for test in tests if "gravity_across_stroke_m_s2" in test.notes
     ]
-    known = [value for value in found if isinstance(value, float) and np.isfinite(value)]
-    if len(known) < len(tests) or np.ptp(known) > 2.0 * GRAVITY_STD_M_S2:
+    finite = [value for value in measured if isinstance(value, float) and np.isfinite(value)]
+    if len(finite) < len(tests) or np.ptp(finite) > 2.0 * GRAVITY_STD_M_S2:
         return 0.0, GRAVITY_M_S2
-    return float(np.mean(known)), GRAVITY_STD_M_S2
+    return float(np.mean(finite)), GRAVITY_STD_M_S2
 
 
 def _usable(tests: Sequence[Test], remarks: list[Message], take: Callable[[Test], T]) -> list[T]:
@@ -163,7 +163,7 @@ def _usable(tests: Sequence[Test], remarks: list[Message], take: Callable[[Test]
     Raises:
         UnusableInputError: no test is usable.
     """
-    found = []
+    results = []
     for test in tests:
         try:
             if test.samples < max((SHORTEST_S + 2.0 * test.preload_s) * test.sample_rate_hz, LEAST_SAMPLES):
@@ -172,17 +172,17 @@ def _usable(tests: Sequence[Test], remarks: list[Message], take: Callable[[Test]
                     "{seconds:.2g} s are too short for a diagnosis",
                     seconds=test.samples / test.sample_rate_hz,
                 )
-            found.append(take(test))
+            results.append(take(test))
         except UnusableInputError as error:
             remarks.append(
                 Message(
                     "gap.test_left_out", "test {number} is left out: {reason}", number=test.number, reason=error.message
                 )
             )
-    if not found:
+    if not results:
         reason = remarks[0] if remarks else Message("gap.no_tests", "it holds no tests")
         raise UnusableInputError("gap.not_usable", "the session cannot be diagnosed: {reason}", reason=reason)
-    return found
+    return results
 
 
 def _other_amplitude(tests: Sequence[Test]) -> Test | None:
@@ -272,9 +272,9 @@ def _off_the_skin(position: NDArray[np.float64], surface_m: float, rate_hz: floa
     if not away.size or away[0]:
         return off
     end = 0
-    for left in map(int, np.flatnonzero(away[1:] & ~away[:-1]) + 1):
-        if left >= end:
-            on_skin = np.flatnonzero(depth[left:] >= 0.0)
-            end = left + int(on_skin[0]) if on_skin.size else depth.size
-        off[left : end + round(RETURN_S * rate_hz)] = True
+    for begin in map(int, np.flatnonzero(away[1:] & ~away[:-1]) + 1):
+        if begin >= end:
+            on_skin = np.flatnonzero(depth[begin:] >= 0.0)
+            end = begin + int(on_skin[0]) if on_skin.size else depth.size
+        off[begin : end + round(RETURN_S * rate_hz)] = True
     return off

@@ -135,9 +135,9 @@ class SearchResult:
 
 @dataclass
 class _Removals:
-    """Sets without one effect of ``found``, by the effect, and those of them with more steps than a short fit."""
+    """Sets without one effect of ``complete``, by the effect, and those of them with more steps than a short fit."""
 
-    found: Candidate
+    complete: Candidate
     smaller: dict[str, Candidate]
     fitted_further: set[str]
 
@@ -176,7 +176,7 @@ class Search:
         self._short_steps = LIMITS.short_steps_of_many if several else LIMITS.short_steps
         self._progress = progress
         self._cancelled = cancelled
-        self._known: tuple[str, ...] = ()
+        self._accepted: tuple[str, ...] = ()
         self._baseline: Fit | None = None
         self._with_tissue: set[frozenset[str]] = set()
         self._from_baseline: set[frozenset[str]] = set()
@@ -188,24 +188,24 @@ class Search:
         """The tests, from the baseline on without outliers in the noise floor."""
         return self._dataset
 
-    def baseline(self, known: Sequence[str] = ()) -> Candidate:
-        """Refit the baseline, with the ``known`` effects of a saved twin.
+    def baseline(self, accepted: Sequence[str] = ()) -> Candidate:
+        """Refit the baseline, with the ``accepted`` effects of a saved twin.
 
         From then on outliers are not part of the noise floor.
         """
         self._progress(SearchProgress("baseline", 0, 1))
         self._dataset = with_best_family(self._dataset)
-        self._known = tuple(known)
-        effects = [effects_of(self._dataset)[name] for name in known]
+        self._accepted = tuple(accepted)
+        effects = [effects_of(self._dataset)[name] for name in accepted]
         first = fit(self._dataset, effects, cancelled=self._cancelled)
         dataset = with_robust_noise(first)
         if dataset is not self._dataset:
             self._dataset = dataset
             first = fit(dataset, effects, cancelled=self._cancelled)
         self._baseline = first
-        found = score_candidate(first)
+        candidate = score_candidate(first)
         self._progress(SearchProgress("baseline", 1, 1))
-        return found
+        return candidate
 
     @property
     def names(self) -> list[str]:
@@ -235,19 +235,21 @@ class Search:
         candidates = self._full_fits("leading candidates", short_fits, LIMITS.fits, best_aligned_too=True)
         return SearchResult(baseline, tuple(signatures), self._with_nested(baseline, candidates))
 
-    def further(self, found: SearchResult) -> SearchResult:
+    def further(self, result: SearchResult) -> SearchResult:
         """Fit from more starting points, with more full fits.
 
         For a first round with a large remaining gap: a narrow minimum can have been missed.
         """
-        tried = best_aligned(found.signatures)[: LIMITS.starts]
-        others = [item for item in found.signatures if all(item is not other for other in tried)]
-        short_fits = self._short_fits("further starting points", found.baseline, _by_alignment(others)[: LIMITS.starts])
-        on_the_way = [item for item in found.candidates if item.fit.steps == self._short_steps]
-        finished = [item for item in found.candidates if item.fit.steps != self._short_steps]
+        tried = best_aligned(result.signatures)[: LIMITS.starts]
+        others = [item for item in result.signatures if all(item is not other for other in tried)]
+        short_fits = self._short_fits(
+            "further starting points", result.baseline, _by_alignment(others)[: LIMITS.starts]
+        )
+        on_the_way = [item for item in result.candidates if item.fit.steps == self._short_steps]
+        finished = [item for item in result.candidates if item.fit.steps != self._short_steps]
         full_fits = self._full_fits("further candidates", [*short_fits, *on_the_way], 2 * LIMITS.fits)
         candidates = _best_of_each([*finished, *full_fits])
-        return SearchResult(found.baseline, found.signatures, self._with_nested(found.baseline, candidates))
+        return SearchResult(result.baseline, result.signatures, self._with_nested(result.baseline, candidates))
 
     def _with_nested(self, baseline: Candidate, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
         # The top candidate with one of its effects replaced by the special case or the general form of the effect.
@@ -284,26 +286,26 @@ class Search:
         """
         if all(test.fixture != "tissue" for test in self._dataset.tests) or self._dataset.equivalent is not None:
             return ()
-        if any(effect(name).in_living_tissue for name in self._known):
+        if any(effect(name).in_living_tissue for name in self._accepted):
             return ()
-        found = [effect(name) for name in self.names if name not in near.effects]
-        chosen = [item for item in found if item.in_living_tissue][: MOST_EFFECTS - len(near.effects)]
+        missing = [effect(name) for name in self.names if name not in near.effects]
+        chosen = [item for item in missing if item.in_living_tissue][: MOST_EFFECTS - len(near.effects)]
         names = (*near.effects, *(item.name for item in chosen))
         if not chosen or len(names) < 2 or frozenset(names) in self._with_tissue:
             return ()
         self._with_tissue.add(frozenset(names))
-        if near.effects == self._known:
+        if near.effects == self._accepted:
             self._from_baseline.add(frozenset(names))
         tasks = self._from_weak_starts(near, names)[: LIMITS.beam]
         return tuple(sorted(self._run_tasks("tissue", refit, tasks), key=_fitted_cost)[:1])
 
-    def tissue_set_again(self, near: Candidate, found: Candidate) -> Candidate:
+    def tissue_set_again(self, near: Candidate, candidate: Candidate) -> Candidate:
         """Fit a set that ``tissue_set`` found near a candidate from the other weak starts too, where its fits lowered
         the misfit and leave enough for another member. Return the better fit."""
-        if not grows(near, found) or found.score <= THRESHOLDS.set_gain:
-            return found
-        tasks = self._from_weak_starts(near, found.effects)[LIMITS.beam :]
-        return min((found, *self._run_tasks("tissue", refit, tasks)), key=_fitted_cost)
+        if not grows(near, candidate) or candidate.score <= THRESHOLDS.set_gain:
+            return candidate
+        tasks = self._from_weak_starts(near, candidate.effects)[LIMITS.beam :]
+        return min((candidate, *self._run_tasks("tissue", refit, tasks)), key=_fitted_cost)
 
     def _from_weak_starts(self, near: Candidate, names: Sequence[str]) -> list[Task]:
         library, tasks = effects_of(self._dataset), []
@@ -324,56 +326,58 @@ class Search:
         ]
         return self._full_fits("leading additions", short_fits, LIMITS.beam, LIMITS.steps_in_a_set)
 
-    def perhaps_needless(self, found: Candidate, names: Sequence[str]) -> list[str]:
+    def perhaps_needless(self, candidate: Candidate, names: Sequence[str]) -> list[str]:
         """Return those of ``names`` that a linear refit does not show to be clearly needed."""
-        before = fitted_score(found.fit, found.fit.residuals)
+        before = fitted_score(candidate.fit, candidate.fit.residuals)
         return [
             name
             for name in names
-            if fitted_score(found.fit, residuals_without(found.fit, name)) - before < LIMITS.clearly_needed
+            if fitted_score(candidate.fit, residuals_without(candidate.fit, name)) - before < LIMITS.clearly_needed
         ]
 
-    def remove_from(self, found: Candidate, names: Sequence[str], *, briefly: bool = False) -> list[Candidate]:
+    def remove_from(self, candidate: Candidate, names: Sequence[str], *, briefly: bool = False) -> list[Candidate]:
         """Refit a set without each of ``names``, in their order; those that cost least are fitted further, unless
         ``briefly`` and their short fit shows that the member is clearly needed."""
-        done = next((item for item in self._removed if item.found is found), None) or _Removals(found, {}, set())
+        done = next((item for item in self._removed if item.complete is candidate), None) or _Removals(
+            candidate, {}, set()
+        )
         self._removed = [*(item for item in self._removed if item is not done), done][-LIMITS.beam :]
         new = [name for name in names if name not in done.smaller]
-        short_fits = self._run_tasks("removals", refit, [self._smaller(found, (name,)) for name in new])
+        short_fits = self._run_tasks("removals", refit, [self._smaller(candidate, (name,)) for name in new])
         done.smaller.update(zip(new, short_fits, strict=True))
         least = sorted(names, key=lambda name: done.smaller[name].fit.cost)[: LIMITS.beam]
         if briefly:
-            least = [name for name in least if done.smaller[name].score - found.score < LIMITS.clearly_needed]
+            least = [name for name in least if done.smaller[name].score - candidate.score < LIMITS.clearly_needed]
         further = [name for name in least if name not in done.fitted_further]
         tasks = self._continued([done.smaller[name] for name in further], LIMITS.steps_in_a_set)
         done.smaller.update(zip(further, self._run_tasks("removals", refit, tasks), strict=True))
         done.fitted_further.update(further)
         return [done.smaller[name] for name in names]
 
-    def remove_all_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
+    def remove_all_from(self, candidate: Candidate, names: Sequence[str]) -> list[Candidate]:
         """Refit a set without all of ``names``."""
-        task = replace(self._smaller(found, names), most_steps=LIMITS.steps_in_a_set)
+        task = replace(self._smaller(candidate, names), most_steps=LIMITS.steps_in_a_set)
         return self._run_tasks("removals", refit, [task])
 
     def _continued(self, items: Sequence[Candidate], most_steps: int) -> list[Task]:
         return [Task(self._dataset, item.effects, (), item.fit, most_steps) for item in items]
 
-    def _smaller(self, found: Candidate, names: Sequence[str]) -> Task:
-        kept = tuple(name for name in found.effects if name not in names)
-        return Task(self._dataset, kept, (), found.fit, self._short_steps)
+    def _smaller(self, candidate: Candidate, names: Sequence[str]) -> Task:
+        kept = tuple(name for name in candidate.effects if name not in names)
+        return Task(self._dataset, kept, (), candidate.fit, self._short_steps)
 
-    def polish(self, baseline: Candidate, found: Candidate) -> Candidate:
+    def polish(self, baseline: Candidate, candidate: Candidate) -> Candidate:
         """Fit a set from weak starts and from other starts of each member, and the best of these fits to the end.
 
         A set has many minima: where one member is at a wrong one, the others compensate for it. Where less is left than
         the least gain of a needed member, no other start can change what is named.
         """
-        best = found
-        if found.score > THRESHOLDS.set_gain and self.in_time("replacements"):
-            done = frozenset(found.effects) in self._from_baseline
-            tasks = [] if done else self._from_weak_starts(baseline, found.effects)
+        best = candidate
+        if candidate.score > THRESHOLDS.set_gain and self.in_time("replacements"):
+            done = frozenset(candidate.effects) in self._from_baseline
+            tasks = [] if done else self._from_weak_starts(baseline, candidate.effects)
             best = self._restarted(
-                baseline, min((found, *self._run_tasks("replacements", refit, tasks)), key=_fitted_cost)
+                baseline, min((candidate, *self._run_tasks("replacements", refit, tasks)), key=_fitted_cost)
             )
         to_the_end = self._continued([best], LIMITS.most_steps)
         return min((best, *self._run_tasks("leading additions", refit, to_the_end)), key=_fitted_cost)
@@ -398,16 +402,16 @@ class Search:
             best = better
         return best
 
-    def replace_in(self, found: Candidate, smaller: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    def replace_in(self, candidate: Candidate, smaller: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Fit rivals in the place of the member that each of the ``smaller`` sets lacks, best first."""
         short_fits = [
-            item for without in smaller for item in self._with_partner("replacements", without, found.effects)
+            item for without in smaller for item in self._with_partner("replacements", without, candidate.effects)
         ]
         return self._full_fits("leading replacements", short_fits, LIMITS.beam, LIMITS.steps_in_a_set)
 
-    def nested_with(self, baseline: Candidate, found: Candidate) -> Candidate:
+    def nested_with(self, baseline: Candidate, candidate: Candidate) -> Candidate:
         """Return the set, or a better one with a special case or the general form of a member in its place."""
-        return min(self._with_nested(baseline, [found]), key=misfit)
+        return min(self._with_nested(baseline, [candidate]), key=misfit)
 
     def _with_partner(self, what: Work, near: Candidate, excluded: Sequence[str] = ()) -> list[Candidate]:
         # Short fits of a set with another effect. Its alignment changes when another effect is in the model.
@@ -425,7 +429,7 @@ class Search:
     ) -> list[Candidate]:
         worth = [item for item in signatures if item.alignment >= LIMITS.least_alignment]
         before = [held.starts[0] for held in near.fit.parameters.effects]
-        begin = from_twin(near.fit) if near.effects == self._known else near.fit
+        begin = from_twin(near.fit) if near.effects == self._accepted else near.fit
         steps = most_steps or self._short_steps
         tasks = [
             Task(self._dataset, (*near.effects, item.effect), (*before, item.start), begin, steps) for item in worth
@@ -444,9 +448,7 @@ class Search:
         if ranked and ranked[0].score <= THRESHOLDS.at_the_floor:
             count = sum(item.score <= LIMITS.rival_score for item in ranked[:count])
         fitting = sorted(ranked, key=lambda item: item.fit.cost)[: min(LIMITS.beam, count)]
-        going_on = [
-            item for place, item in enumerate(ranked) if place < count or any(item is other for other in fitting)
-        ]
+        going_on = [item for rank, item in enumerate(ranked) if rank < count or any(item is other for other in fitting)]
         if best_aligned_too and all(item is not other for item in short_fits[:1] for other in going_on):
             # A narrow minimum is reached in many steps, and a short fit towards it can leave more than others.
             going_on += short_fits[:1]
@@ -459,8 +461,8 @@ class Search:
         there = {item.name for item in near.parameters.effects}
         items = [(name, self._starts.get(name, ())) for name in self.names if name not in there]
         parts = [items[k::SCREENING_TASKS] for k in range(min(SCREENING_TASKS, len(items)))]
-        found = self._run_tasks("screening", partial(screen, near), parts)
-        return [item for items in found for item in items]
+        signatures = self._run_tasks("screening", partial(screen, near), parts)
+        return [item for items in signatures for item in items]
 
     def in_time(self, what: Work) -> bool:
         """Return whether a step may begin; ``not_tried`` keeps those that may not."""
@@ -484,8 +486,8 @@ class Search:
         return self._pool.do(work, things, self._cancelled, done)
 
 
-def _fitted_cost(found: Candidate) -> float:
-    return found.fit.cost
+def _fitted_cost(candidate: Candidate) -> float:
+    return candidate.fit.cost
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -508,31 +510,31 @@ class SetSearch:
     def run(self) -> tuple[SearchResult, Candidate | None]:
         """Return everything that was fitted, and the best set of effects; None where no effect applies."""
         search, baseline = self._search, self._baseline
-        found = search.singles(baseline)
-        best = min(found.candidates, key=cost, default=None)
+        result = search.singles(baseline)
+        best = min(result.candidates, key=cost, default=None)
         if best is None:
-            return found, None
+            return result, None
         together: tuple[Candidate, ...] = ()
         if not self._settled(best):
             together = search.tissue_set(baseline)
             if together and self._closed(together[0]) < THRESHOLDS.structural:
                 # An effect of the instrument can conceal those of the tissue.
-                together = (min((*together, *search.tissue_set(_leaders(found)[0])), key=misfit),)
+                together = (min((*together, *search.tissue_set(_leaders(result)[0])), key=misfit),)
             together = tuple(search.tissue_set_again(baseline, item) for item in together)
-            if not together or not grows(_leaders(found)[0], together[0]):
-                found = search.further(found)
-                best = min(found.candidates, key=cost)
+            if not together or not grows(_leaders(result)[0], together[0]):
+                result = search.further(result)
+                best = min(result.candidates, key=cost)
         if cost(best) <= THRESHOLDS.set_gain or (baseline.effects and self._settled(best)):
-            return found, best
-        top = self._best_set(found, together)
+            return result, best
+        top = self._best_set(result, together)
         best = top if len(top.added_to(baseline)) > 1 else best
-        return SearchResult(baseline, found.signatures, tuple(sorted(self._fitted.values(), key=cost))), best
+        return SearchResult(baseline, result.signatures, tuple(sorted(self._fitted.values(), key=cost))), best
 
-    def _best_set(self, found: SearchResult, together: Sequence[Candidate]) -> Candidate:
+    def _best_set(self, result: SearchResult, together: Sequence[Candidate]) -> Candidate:
         # It starts from the effects of the tissue ``together`` or from the best single effects, whichever leaves less.
         search, baseline = self._search, self._baseline
-        self._fitted = {frozenset(item.effects): item for item in found.candidates}
-        leaders = _leaders(found)
+        self._fitted = {frozenset(item.effects): item for item in result.candidates}
+        leaders = _leaders(result)
         for item in self._kept(together):
             if grows(leaders[0], item):
                 leaders = [self._without_needless(item)]
@@ -616,10 +618,10 @@ class SetSearch:
         return top
 
 
-def _leaders(found: SearchResult) -> list[Candidate]:
+def _leaders(result: SearchResult) -> list[Candidate]:
     # Of nested effects only the better one: both have the same partners, and nested effects of a set are tried later.
     leaders: list[Candidate] = []
-    for item in (min(found.candidates, key=misfit), *sorted(found.candidates, key=cost)):
+    for item in (min(result.candidates, key=misfit), *sorted(result.candidates, key=cost)):
         if all(
             item is not other and not nested(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders
         ):

@@ -155,16 +155,16 @@ def simulate_stage(
     def simulated(values: FloatArray) -> list[dict[str, FloatArray]]:
         whole = start.copy()
         whole[places] = values
-        found = []
+        simulations = []
         for test, given in zip(tests, givens, strict=True):
             readings = simulate_test(parameters, whole, test, given, _substeps(test, names, bool(parameters.effects)))
-            found.append({name: np.asarray(getattr(readings, name)) for name in (channel, *keep)})
-        return found
+            simulations.append({name: np.asarray(getattr(readings, name)) for name in (channel, *keep)})
+        return simulations
 
     def residuals(values: FloatArray) -> tuple[FloatArray, None]:
         rows = [
-            np.clip(np.nan_to_num((one[channel] - test.signals[channel])[mask] / sigma, nan=1e6), -1e6, 1e6)
-            for one, test, mask in zip(simulated(values), tests, masks, strict=True)
+            np.clip(np.nan_to_num((prediction[channel] - test.signals[channel])[mask] / sigma, nan=1e6), -1e6, 1e6)
+            for prediction, test, mask in zip(simulated(values), tests, masks, strict=True)
         ]
         return np.concatenate(rows), None
 
@@ -183,7 +183,7 @@ def simulate_stage(
         problem = SecantProblem(residuals, derivatives, steps, bounds, (prior, std))
         at = problem.start(np.clip(start[places], low, high))
         start[places] = minimise(problem, at, most_steps=most_steps, tolerance=_TOLERANCE, bounds=bounds).point.theta
-    predictions = {test.number: one for test, one in zip(tests, simulated(start[places]), strict=True)}
+    predictions = {test.number: prediction for test, prediction in zip(tests, simulated(start[places]), strict=True)}
     return StageSimulation(channel, tuple(tests), start, predictions)
 
 
@@ -207,7 +207,9 @@ def propagated_noise(baseline: Fit, tests: Sequence[DatasetTest], name: str, noi
         noise: its standard deviation, SI.
     """
     parameters = baseline.parameters
-    predicted = {test.number: one for test, one in zip(parameters.dataset.tests, baseline.predictions, strict=True)}
+    predicted = {
+        test.number: prediction for test, prediction in zip(parameters.dataset.tests, baseline.predictions, strict=True)
+    }
     squares = []
     for test in tests:
         clean = interpolated(predicted[test.number][name])

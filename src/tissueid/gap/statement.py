@@ -52,77 +52,77 @@ class Member:
 
 def effect_title(name: str) -> str:
     """Return the title of an effect; its name in plain words where the library has no such effect."""
-    known = all_effects().get(name)
-    return name.replace("_", " ") if known is None else known.title
+    effect = all_effects().get(name)
+    return name.replace("_", " ") if effect is None else effect.title
 
 
-def members_of(found: Diagnosis) -> tuple[Member, ...]:
+def members_of(diagnosis: Diagnosis) -> tuple[Member, ...]:
     """Return the named effects with their probabilities; none where nothing is named."""
-    ranked = tuple((item.effect, item.probability) for item in found.ranking)
+    ranked = tuple((item.effect, item.probability) for item in diagnosis.ranking)
     members = []
-    for name in found.combination:
-        odds = found.conditional_odds.get(name, ranked)
+    for name in diagnosis.combination:
+        odds = diagnosis.conditional_odds.get(name, ranked)
         own = dict(odds).get(name, float("nan"))
         rivals = [
             (other, share)
             for other, share in odds
-            if other not in found.combination and share >= max(CLOSE * own, 0.01)
+            if other not in diagnosis.combination and share >= max(CLOSE * own, 0.01)
         ]
         members.append(Member(name, own, tuple(rivals[:MOST_RIVALS])))
     return tuple(members)
 
 
-def alternatives_of(found: Diagnosis) -> dict[str, tuple[str, ...]]:
+def alternatives_of(diagnosis: Diagnosis) -> dict[str, tuple[str, ...]]:
     """Return for each named effect those that can stand in its place: close rivals, and effects that this data cannot
     separate from it."""
-    alike = {item.effect: item.indistinguishable for item in found.ranking}
+    alike = {item.effect: item.indistinguishable for item in diagnosis.ranking}
     return {
         member.effect: tuple(
             dict.fromkeys(
                 name
                 for name in (*(rival for rival, _ in member.rivals), *alike.get(member.effect, ()))
-                if name not in found.combination
+                if name not in diagnosis.combination
             )
         )
-        for member in members_of(found)
+        for member in members_of(diagnosis)
     }
 
 
-def ordered_candidates(found: Diagnosis) -> tuple[Ranked, ...]:
+def ordered_candidates(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
     """Return the candidates in the order of display.
 
     Named effects come first. Without a named effect the order is by closed share. Without a gap there are no
     candidates.
     """
-    if found.verdict == "no_gap":
+    if diagnosis.verdict == "no_gap":
         return ()
-    if not found.combination:
-        return tuple(sorted(found.ranking, key=lambda item: -item.closed if np.isfinite(item.closed) else np.inf))
-    ranking = {item.effect: item for item in found.ranking}
+    if not diagnosis.combination:
+        return tuple(sorted(diagnosis.ranking, key=lambda item: -item.closed if np.isfinite(item.closed) else np.inf))
+    ranking = {item.effect: item for item in diagnosis.ranking}
     first = [
         replace(ranking[member.effect], probability=member.probability)
         if member.effect in ranking
-        else _unranked(found, member)
-        for member in members_of(found)
+        else _unranked(diagnosis, member)
+        for member in members_of(diagnosis)
     ]
-    return (*first, *(item for item in found.ranking if item.effect not in found.combination))
+    return (*first, *(item for item in diagnosis.ranking if item.effect not in diagnosis.combination))
 
 
-def _unranked(found: Diagnosis, member: Member) -> Ranked:
+def _unranked(diagnosis: Diagnosis, member: Member) -> Ranked:
     # A second effect can be missing among the single candidates: its closed share alone is unknown.
     nothing = float("nan")
-    fitted = found.best is not None and member.effect in found.best.effects
-    values = parameters_of(found.best, member.effect) if fitted and found.best is not None else {}
+    fitted = diagnosis.best is not None and member.effect in diagnosis.best.effects
+    values = parameters_of(diagnosis.best, member.effect) if fitted and diagnosis.best is not None else {}
     stage = all_effects()[member.effect].stage
     return Ranked(member.effect, stage, member.probability, nothing, (nothing, nothing), (), values)
 
 
-def headline_of(found: Diagnosis) -> tuple[Message, Level]:
+def headline_of(diagnosis: Diagnosis) -> tuple[Message, Level]:
     """Return the verdict in one line, with what each named effect closes and its probability, and its level."""
-    if found.verdict == "no_gap":
+    if diagnosis.verdict == "no_gap":
         return Message("gap.none", "No gap: the twin explains this recording down to its noise"), "good"
-    if found.verdict == "unexplained":
-        if not found.at_fault:
+    if diagnosis.verdict == "unexplained":
+        if not diagnosis.at_fault:
             return (
                 Message(
                     "gap.unexplained_nowhere", "There is a gap that no known effect explains; no single stage shows it"
@@ -133,45 +133,47 @@ def headline_of(found: Diagnosis) -> tuple[Message, Level]:
             Message(
                 "gap.unexplained",
                 "There is a gap that no known effect explains; it arises in the stage: {stage}",
-                stage=STAGE_NAMES[found.at_fault[0]],
+                stage=STAGE_NAMES[diagnosis.at_fault[0]],
             ),
             "check",
         )
-    members = members_of(found)
-    causes = Listing(tuple(_with_rivals(found, member) for member in members), "; ", "; ")
+    members = members_of(diagnosis)
+    causes = Listing(tuple(_with_rivals(diagnosis, member) for member in members), "; ", "; ")
     if any(member.doubtful for member in members):
         return Message("gap.probably_explained", "The gap is probably explained: {causes}", causes=causes), "check"
     return Message("gap.explained", "The gap is explained: {causes}", causes=causes), "good"
 
 
-def shown_probability(found: Diagnosis, name: str, probability: float) -> float:
+def shown_probability(diagnosis: Diagnosis, name: str, probability: float) -> float:
     """Return the probability of a candidate as a reader can use it, NaN where there is none.
 
     The ranking gives the probability of an effect as the only cause. Of a member of a combination that says nothing:
     an effect that closes most of the gap has a small one if it needs a second effect.
     """
-    of_single_cause = len(found.combination) > 1 and name in found.combination and name not in found.conditional_odds
+    of_single_cause = (
+        len(diagnosis.combination) > 1 and name in diagnosis.combination and name not in diagnosis.conditional_odds
+    )
     return float("nan") if of_single_cause else probability
 
 
-def _with_rivals(found: Diagnosis, member: Member) -> Message:
-    names = [described(found, name, share) for name, share in ((member.effect, member.probability), *member.rivals)]
+def _with_rivals(diagnosis: Diagnosis, member: Member) -> Message:
+    names = [described(diagnosis, name, share) for name, share in ((member.effect, member.probability), *member.rivals)]
     return Message("gap.cause", "{names}", names=Listing(tuple(names), marked(" or "), marked(" or ")))
 
 
-def described(found: Diagnosis, name: str, probability: float) -> str:
+def described(diagnosis: Diagnosis, name: str, probability: float) -> str:
     """Return the title of an effect with the share of the gap that it closes and its probability, if they are known.
 
     The shares of the members of a combination are those of the budget, in the order of adding: they sum to the whole.
     A rival of the only cause has its own.
     """
-    if name in found.combination and found.budget is not None:
-        closed = next((step.added for step in found.budget.steps if step.effect == name), float("nan"))
-    elif len(found.combination) == 1:
-        closed = next((item.closed for item in found.ranking if item.effect == name), float("nan"))
+    if name in diagnosis.combination and diagnosis.budget is not None:
+        closed = next((step.added for step in diagnosis.budget.steps if step.effect == name), float("nan"))
+    elif len(diagnosis.combination) == 1:
+        closed = next((item.closed for item in diagnosis.ranking if item.effect == name), float("nan"))
     else:
         closed = float("nan")
-    probability = shown_probability(found, name, probability)
+    probability = shown_probability(diagnosis, name, probability)
     title = effect_title(name)
     share, odds = fixed(100.0 * closed, 0), percent(probability)
     if np.isfinite(closed) and np.isfinite(probability):
@@ -194,26 +196,26 @@ def percent(share: float) -> str:
     return "< 1" if share < 0.005 else "> 99" if share >= 0.995 else fixed(100.0 * share, 0)
 
 
-def sentences_of(found: Diagnosis) -> Iterator[Message]:
+def sentences_of(diagnosis: Diagnosis) -> Iterator[Message]:
     """Yield the stage and the regions of the gap, and the effects that the data cannot separate from the cause.
 
     Without a gap, yield what would have been visible.
     """
-    if found.verdict == "no_gap":
-        limits = _examples_of_limits(found)
+    if diagnosis.verdict == "no_gap":
+        limits = _examples_of_limits(diagnosis)
         if limits:
             yield Message(
                 "gap.detection_limits", "Would have been visible: {limits}.", limits=Listing(limits, "; ", "; ")
             )
         return
-    yield from _stage_sentences(found)
-    yield from _region_sentences(found)
-    named = [item for item in found.ranking if item.effect in found.combination]
+    yield from _stage_sentences(diagnosis)
+    yield from _region_sentences(diagnosis)
+    named = [item for item in diagnosis.ranking if item.effect in diagnosis.combination]
     if alike := dict.fromkeys(name for item in named for name in item.indistinguishable):
         names = Listing(tuple(effect_title(name) for name in alike))
         yield Message("gap.alike", "This data cannot separate the cause from: {names}.", names=names)
-    if found.verdict == "unexplained" and found.ranking:
-        best = ordered_candidates(found)[0]
+    if diagnosis.verdict == "unexplained" and diagnosis.ranking:
+        best = ordered_candidates(diagnosis)[0]
         yield Message(
             "gap.best_attempt",
             "The best candidate, {effect}, closes {share} of the gap and does not explain it.",
@@ -236,22 +238,22 @@ def size_of(limit: DetectionLimit) -> str:
     return with_unit(number(scale * limit.value, 2), unit)
 
 
-def _examples_of_limits(found: Diagnosis) -> tuple[Message, ...]:
+def _examples_of_limits(diagnosis: Diagnosis) -> tuple[Message, ...]:
     # One effect of each stage.
-    known = {name: limit for name, limit in found.detection_limits.items() if limit is not None}
-    examples = {all_effects()[name].stage: name for name in known}
-    return tuple(limit_text(name, known[name]) for name in examples.values())
+    limits = {name: limit for name, limit in diagnosis.detection_limits.items() if limit is not None}
+    examples = {all_effects()[name].stage: name for name in limits}
+    return tuple(limit_text(name, limits[name]) for name in examples.values())
 
 
-def _stage_sentences(found: Diagnosis) -> Iterator[Message]:
-    where = found.where
-    if len(found.at_fault) > 1:
-        stages = Listing(tuple(STAGE_NAMES[stage] for stage in found.at_fault), _AND)
+def _stage_sentences(diagnosis: Diagnosis) -> Iterator[Message]:
+    where = diagnosis.where
+    if len(diagnosis.at_fault) > 1:
+        stages = Listing(tuple(STAGE_NAMES[stage] for stage in diagnosis.at_fault), _AND)
         yield Message(
             "gap.stages", "The gap arises in these stages, to which the causes belong: {stages}.", stages=stages
         )
-    elif found.at_fault and where.above_floor:
-        stage = found.at_fault[0]
+    elif diagnosis.at_fault and where.above_floor:
+        stage = diagnosis.at_fault[0]
         suspected: Stage = max(STAGES, key=where.shares.__getitem__)
         if where.shares[stage] >= where.shares[suspected]:
             yield Message(
@@ -288,8 +290,8 @@ _REGIONS: Mapping[str, tuple[Message, float, str]] = {
 """Region: its text, factor from SI to its unit, and unit."""
 
 
-def _region_sentences(found: Diagnosis) -> Iterator[Message]:
-    regions, where = found.where.regions, []
+def _region_sentences(diagnosis: Diagnosis) -> Iterator[Message]:
+    regions, where = diagnosis.where.regions, []
     for name, (text, scale, unit) in _REGIONS.items():
         if intervals := regions.above[name]:
             mains = {"hertz": number(regions.mains_hz, 3)} if name == "mains_phase_rad" else {}
@@ -304,18 +306,20 @@ def _region_sentences(found: Diagnosis) -> Iterator[Message]:
         )
 
 
-def next_steps_of(found: Diagnosis, file: Path | None = None) -> Iterator[str]:
+def next_steps_of(diagnosis: Diagnosis, file: Path | None = None) -> Iterator[str]:
     """Yield what to do next, one text each; with the shell's command where the session's file is given."""
-    if found.verdict == "no_gap":
+    if diagnosis.verdict == "no_gap":
         yield Message("gap.nothing_to_do", "Nothing needs to be done: the twin can be used as it is.")
         return
-    known = all_effects()
-    for name in found.combination:
-        if name in known and known[name].remedy:
-            yield known[name].remedy
-    if found.next_experiment is not None:
-        yield _next_test(found.next_experiment.kind, found.next_experiment.separates, found.next_experiment.why)
-    if found.verdict == "effect":
+    library = all_effects()
+    for name in diagnosis.combination:
+        if name in library and library[name].remedy:
+            yield library[name].remedy
+    if diagnosis.next_experiment is not None:
+        yield _next_test(
+            diagnosis.next_experiment.kind, diagnosis.next_experiment.separates, diagnosis.next_experiment.why
+        )
+    if diagnosis.verdict == "effect":
         if file is None:
             yield Message(
                 "gap.accept", "Add the effect to a named twin, so that simulation and later diagnoses include it."
@@ -326,11 +330,11 @@ def next_steps_of(found: Diagnosis, file: Path | None = None) -> Iterator[str]:
                 "Add the effect to a named twin, so that simulation and later diagnoses include it: {command}",
                 command=f"tissueid gap accept {shlex.quote(str(file))} --out TWIN.toml",
             )
-    elif found.next_experiment is None and found.at_fault:
+    elif diagnosis.next_experiment is None and diagnosis.at_fault:
         yield Message(
             "gap.look_at_stage",
             "Check the stage: {stage}. The cause is there, and none of the known effects fits it.",
-            stage=STAGE_NAMES[found.at_fault[0]],
+            stage=STAGE_NAMES[diagnosis.at_fault[0]],
         )
 
 
@@ -390,10 +394,10 @@ class GapHistoryEntry:
     def time(self) -> datetime | None:
         """Time of recording, UTC; None where it is unknown."""
         try:
-            found = datetime.fromisoformat(self.created)
+            parsed = datetime.fromisoformat(self.created)
         except ValueError:
             return None
-        return found.astimezone(UTC) if found.tzinfo is not None else found.replace(tzinfo=UTC)
+        return parsed.astimezone(UTC) if parsed.tzinfo is not None else parsed.replace(tzinfo=UTC)
 
     def gap(self, name: str) -> float:
         """Return a figure of the gap, such as ``before``; NaN where there is none."""

@@ -84,14 +84,14 @@ def _unmodelled(fitted: Fit) -> dict[str, float]:
     on_tissue = {test.number for test in dataset.tests if test.fixture == "tissue" and not test.quiet}
     shares: dict[str, float] = {}
     for purpose in (Purpose.CHOICE, Purpose.CHECK):
-        found = [item for item in errors(alone, purpose) if item.test in on_tissue and item.spread > 0.0]
+        channel_errors = [item for item in errors(alone, purpose) if item.test in on_tissue and item.spread > 0.0]
         for name in dataset.channels:
-            of_channel = [item for item in found if item.channel == name]
+            of_channel = [item for item in channel_errors if item.channel == name]
             if not of_channel:
                 continue
-            left = sum((item.square - item.noise**2 - item.irreducible**2) * item.samples for item in of_channel)
+            unexplained = sum((item.square - item.noise**2 - item.irreducible**2) * item.samples for item in of_channel)
             whole = sum(item.spread**2 * item.samples for item in of_channel)
-            shares[name] = max(shares.get(name, 0.0), float(np.sqrt(max(left, 0.0) / whole)))
+            shares[name] = max(shares.get(name, 0.0), float(np.sqrt(max(unexplained, 0.0) / whole)))
     return shares
 
 
@@ -239,22 +239,22 @@ def with_prior_twin(dataset: Dataset, twin: NamedTwin) -> Dataset:
 
 
 def _of_effect(effect: Effect, values: NDArray[np.float64], stds: dict[str, float]) -> dict[str, Prior]:
-    found = {}
+    priors = {}
     for parameter, value in zip(effect.parameters, values, strict=True):
         name = f"{effect.name}.{parameter.name}"
         if parameter.per_test:
             continue
         if parameter.fixed:
-            found[name] = Prior(float(value))
+            priors[name] = Prior(float(value))
             continue
         std = stds.get(name, 0.0)
         if parameter.logarithmic:
-            found[name] = Prior(float(np.log(value)), float(np.hypot(std / value, RELATIVE_STD)))
+            priors[name] = Prior(float(np.log(value)), float(np.hypot(std / value, RELATIVE_STD)))
         else:
-            found[name] = Prior(
+            priors[name] = Prior(
                 float(value), float(np.hypot(std, RELATIVE_STD * max(abs(value), 0.01 * parameter.high)))
             )
-    return found
+    return priors
 
 
 _CHOOSE = Action("accept.choose", "--effect NAME", marked("choose it on the page Gap"))
@@ -291,23 +291,23 @@ class NamedEffects:
         return TwinFile(**self.twin.model_dump() | changes)
 
 
-def named_effects(found: Diagnosis, session_id: str, baseline: TwinFile | None) -> NamedEffects:
+def named_effects(diagnosis: Diagnosis, session_id: str, baseline: TwinFile | None) -> NamedEffects:
     """Return the effects that a diagnosis names, with the twin that has them."""
-    if found.verdict != "effect" or found.best is None:
-        return NamedEffects((), None, _NO_GAP if found.verdict == "no_gap" else _UNEXPLAINED, baseline)
+    if diagnosis.verdict != "effect" or diagnosis.best is None:
+        return NamedEffects((), None, _NO_GAP if diagnosis.verdict == "no_gap" else _UNEXPLAINED, baseline)
     try:
         twin = twin_file_of(
-            found.best,
+            diagnosis.best,
             "twin" if baseline is None else baseline.name,
             session_id=session_id,
-            verdict=found.verdict,
-            closed=found.gap.closed,
-            probability=found.ranking[0].probability if found.ranking else None,
+            verdict=diagnosis.verdict,
+            closed=diagnosis.gap.closed,
+            probability=diagnosis.ranking[0].probability if diagnosis.ranking else None,
             before=baseline,
         )
     except UnusableInputError as error:
-        return NamedEffects(found.combination, None, error.message, baseline)
-    return NamedEffects(found.combination, twin, baseline=baseline)
+        return NamedEffects(diagnosis.combination, None, error.message, baseline)
+    return NamedEffects(diagnosis.combination, twin, baseline=baseline)
 
 
 def accept_named(
@@ -315,7 +315,7 @@ def accept_named(
     names: Sequence[str],
     twin_name: str,
     before: TwinFile | None,
-    people: Executor,
+    pool: Executor,
     progress: Callable[[SearchProgress], None],
     fit: Sequence[int] = (),
     check: Sequence[int] = (),
@@ -326,7 +326,7 @@ def accept_named(
     Raises:
         UnusableInputError: an effect does not exist, needs signals that were not recorded, or is not in the records.
     """
-    if twice := [name for place, name in enumerate(names) if name in names[:place]]:
+    if twice := [name for index, name in enumerate(names) if name in names[:index]]:
         raise UnusableInputError("accept.twice", "the effect {effect} is named twice", effect=twice[0])
     count = len(names) + (0 if before is None else len(before.effects))
     if count > MOST_NAMED:
@@ -334,19 +334,19 @@ def accept_named(
             "accept.too_many", "a twin holds at most {most} effects, not {count}", most=MOST_NAMED, count=count
         )
     session = read_session(path)
-    dataset, known = against_twin(prepare(session, fit, check), before)
+    dataset, accepted = against_twin(prepare(session, fit, check), before)
     for name in names:
-        if name in known:
+        if name in accepted:
             raise UnusableInputError("accept.known", "the twin has the effect {effect} already", effect=name)
         if not applicable(dataset, effect(name)):
             raise UnusableInputError(
                 "accept.signals", "these records cannot show the effect {effect}: it needs other signals", effect=name
             )
-    search = Search(dataset, people, names, progress, cancelled)
-    baseline = best = search.baseline(known)
+    search = Search(dataset, pool, names, progress, cancelled)
+    baseline = best = search.baseline(accepted)
     dataset = baseline.fit.parameters.dataset
     for name in names:
-        tried = Search(dataset, people, [name], progress, cancelled).add_to([best])
+        tried = Search(dataset, pool, [name], progress, cancelled).add_to([best])
         if not tried:
             raise UnusableInputError(
                 "accept.no_trace", "these records hold no trace of the effect {effect}", effect=name

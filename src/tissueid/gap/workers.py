@@ -47,13 +47,13 @@ class SerialExecutor:
         self, work: Callable[[T], R], things: Sequence[T], cancelled: Callable[[], bool], done: Callable[[T], None]
     ) -> list[R]:
         """Return results in the order of ``things``."""
-        found = []
+        results = []
         for thing in things:
             if cancelled():
                 raise CancelledError
-            found.append(work(thing))
+            results.append(work(thing))
             done(thing)
-        return found
+        return results
 
 
 class Pool:
@@ -100,33 +100,33 @@ class Pool:
                         free.send((work, things[doing[free]]))
                 for pipe in wait(list(doing), POLL_S):
                     assert isinstance(pipe, Connection)
-                    place = doing[pipe]
+                    index = doing[pipe]
                     try:
-                        answers[place] = pipe.recv()
+                        answers[index] = pipe.recv()
                     except (EOFError, OSError):
                         self._stop([pipe])
                         del doing[pipe]
-                        if place in repeated:
+                        if index in repeated:
                             raise UnusableInputError(
                                 "workers.ended",
                                 "two processes that computed the same part were ended from outside: free memory, or "
                                 "choose fewer processes",
                             ) from None
-                        repeated.add(place)
-                        waiting.append(place)
+                        repeated.add(index)
+                        waiting.append(index)
                         continue
-                    done(things[place])
+                    done(things[index])
                     del doing[pipe]
                     idle.append(pipe)
                 if cancelled():
                     raise CancelledError
         finally:
             self._stop(doing)
-        for place in range(len(things)):
-            good, value = answers[place]
+        for index in range(len(things)):
+            good, value = answers[index]
             if not good:
                 raise value
-        return [answers[place][1] for place in range(len(things))]
+        return [answers[index][1] for index in range(len(things))]
 
     def close(self) -> None:
         """End all processes."""

@@ -66,13 +66,13 @@ def check_in_progress(folder: Path) -> CheckInProgress:
     Raises:
         UnusableInputError: there is none, its file is damaged, or another version of the software began it.
     """
-    found = stored_content(folder, _CHECK)
-    if found is None:
+    content = stored_content(folder, _CHECK)
+    if content is None:
         raise UnusableInputError(
             "blind.no_check", "there is no check to resume in {folder}: omit --resume to begin one", folder=str(folder)
         )
     try:
-        begun = TypeAdapter(CheckInProgress).validate_python(found)
+        begun = TypeAdapter(CheckInProgress).validate_python(content)
     except ValidationError as error:
         raise UnusableInputError(
             "blind.damaged_check",
@@ -114,10 +114,10 @@ class BlindScenario:
         Raises:
             UnusableInputError: it cannot be stored.
         """
-        found = self.diagnosed()
+        answer = self.diagnosed()
         if self.keep:
-            store_answer(self.folder, self.key, found)
-        return found
+            store_answer(self.folder, self.key, answer)
+        return answer
 
     def diagnosed(self) -> dict[str, Any]:
         """Return the JSON of ``gap diagnose`` with ``oracle`` and ``in_sample``.
@@ -129,13 +129,13 @@ class BlindScenario:
         """
         dataset = prepare(read_scenario(self.folder, self.name))
         earlier = earlier_session(self.folder, self.name)
-        dataset, known = against_twin(dataset, None if earlier is None else accepted_twin(self.folder, earlier))
-        found = diagnose(dataset, SerialExecutor(), accepted=known, without=self.without)
-        singles = found.search_result.singles
+        dataset, accepted = against_twin(dataset, None if earlier is None else accepted_twin(self.folder, earlier))
+        diagnosis = diagnose(dataset, SerialExecutor(), accepted=accepted, without=self.without)
+        singles = diagnosis.search_result.singles
         greedy = min(singles, key=lambda item: item.fit.cost, default=None)
-        return as_answer(found) | {
-            "accepted": list(known),
-            "grounds": None if found.grounds is None else asdict(found.grounds),
+        return as_answer(diagnosis) | {
+            "accepted": list(accepted),
+            "grounds": None if diagnosis.grounds is None else asdict(diagnosis.grounds),
             "oracle": _oracle(dataset, read_scenario(self.folder, self.name, "clean")),
             "in_sample": greedy.effects[-1] if greedy is not None else None,
             "survive_alone": [_survives(alone) for alone in alone_sessions(self.folder, self.name)],
@@ -152,9 +152,9 @@ def accepted_twin(folder: Path, earlier: str) -> TwinFile:
     path = folder / f"{earlier}.toml"
     if path.exists():
         return read_twin(path)
-    found = diagnose(prepare(read_scenario(folder, earlier)), SerialExecutor())
-    twin = named_effects(found, earlier, None).twin or twin_file_of(
-        found.search_result.baseline, earlier, session_id=earlier
+    diagnosis = diagnose(prepare(read_scenario(folder, earlier)), SerialExecutor())
+    twin = named_effects(diagnosis, earlier, None).twin or twin_file_of(
+        diagnosis.search_result.baseline, earlier, session_id=earlier
     )
     write_twin(path, twin)
     return twin
@@ -186,12 +186,12 @@ def answers(
         CancelledError: ``cancelled`` returned True.
     """
     pieces = [BlindScenario(folder, name, (without or {}).get(name, ()), keep) for name in names]
-    found = {piece: stored_answer(folder, piece.key) if keep else None for piece in pieces}
-    fresh = [piece for piece, answer in found.items() if answer is None]
+    by_piece = {piece: stored_answer(folder, piece.key) if keep else None for piece in pieces}
+    fresh = [piece for piece, answer in by_piece.items() if answer is None]
     for piece in pieces[: len(pieces) - len(fresh)]:
         done(piece)
-    found |= dict(zip(fresh, pool.do(BlindScenario.answered, fresh, cancelled, done), strict=True))
-    return {piece.name: answer for piece, answer in found.items() if answer is not None}
+    by_piece |= dict(zip(fresh, pool.do(BlindScenario.answered, fresh, cancelled, done), strict=True))
+    return {piece.name: answer for piece, answer in by_piece.items() if answer is not None}
 
 
 @dataclass(frozen=True)
@@ -206,9 +206,9 @@ class BlindCheck:
     answers: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
-def with_labels(found: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:
+def with_labels(answers_by_name: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:
     """Return answers with their labels."""
-    return [Answered(name, labels[name], answer, answer.get("oracle")) for name, answer in found.items()]
+    return [Answered(name, labels[name], answer, answer.get("oracle")) for name, answer in answers_by_name.items()]
 
 
 def _survives(session: Session) -> bool:
@@ -220,7 +220,7 @@ def _survives(session: Session) -> bool:
 
 def _oracle(dataset: Dataset, clean: Session) -> float:
     # The gap of the true signals without noise on the samples for the check.
-    found = []
+    channel_errors = []
     for test in dataset.tests:
         truth = clean.test(test.number)
         for name in dataset.channels:
@@ -228,8 +228,10 @@ def _oracle(dataset: Dataset, clean: Session) -> float:
             if mask.any():
                 error = float(np.mean((truth.signals[name][mask] - test.signals[name][mask]) ** 2))
                 spread = float(np.nanstd(test.signals[name]))
-                found.append(ChannelError(test.number, name, error, dataset.noise[name], spread, int(mask.sum())))
-    return gap(found, quiet_tests(dataset.tests))
+                channel_errors.append(
+                    ChannelError(test.number, name, error, dataset.noise[name], spread, int(mask.sum()))
+                )
+    return gap(channel_errors, quiet_tests(dataset.tests))
 
 
 LABELS = "labels.json"
@@ -255,8 +257,10 @@ def read_scenario(folder: Path, name: str, kind: str = "") -> Session:
         numbers = np.fromfile(path, "<f8")
         names = list(about["signals"])
         tests = tuple(_test(item, names, numbers) for item in about["tests"])
-        known = {item.name for item in fields(DeviceDescription)}
-        instrument = DeviceDescription(**{key: value for key, value in about["instrument"].items() if key in known})
+        device_fields = {item.name for item in fields(DeviceDescription)}
+        instrument = DeviceDescription(
+            **{key: value for key, value in about["instrument"].items() if key in device_fields}
+        )
     except (OSError, AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise UnusableInputError(f"{path} is no recording of the simulated laboratory: {error}") from error
     return Session(instrument, tests=tests)
@@ -268,12 +272,12 @@ def earlier_session(folder: Path, name: str) -> str | None:
     Raises:
         UnusableInputError: the file is missing or damaged.
     """
-    found = _read_json(folder / f"{name}.json").get("earlier")
-    if found is None:
+    earlier = _read_json(folder / f"{name}.json").get("earlier")
+    if earlier is None:
         return None
-    if not isinstance(found, str) or re.fullmatch(r"earlier-\d{4,6}", found) is None:
+    if not isinstance(earlier, str) or re.fullmatch(r"earlier-\d{4,6}", earlier) is None:
         raise UnusableInputError(f"{folder / name}.json names no earlier session")
-    return found
+    return earlier
 
 
 def alone_sessions(folder: Path, name: str) -> list[Session]:
@@ -344,9 +348,9 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MOST_BYTES:
             raise UnusableInputError(f"{path} is too large for a scenario")
-        found = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise UnusableInputError(f"{path} cannot be read") from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise UnusableInputError(f"{path} holds no object")
-    return found
+    return content

@@ -204,7 +204,7 @@ def _checked(
     names = scenario_names(folder)
     diagnosed = partial(answers, folder, cancelled=control.check, keep=plan.keep is not None)
     with executor(plan.workers) as pool:
-        found = diagnosed(names, pool, CountedProgress(control, _DIAGNOSING, len(names)))
+        answers_by_name = diagnosed(names, pool, CountedProgress(control, _DIAGNOSING, len(names)))
         _check_seal(folder, begun)
         labels = unseal(folder)
         if labels.keys() != set(names):
@@ -213,13 +213,13 @@ def _checked(
                 "the scenarios in {folder} do not match its labels: the check is not scored",
                 folder=str(folder),
             )
-        cases = with_labels(found, labels)
+        cases = with_labels(answers_by_name, labels)
         again: list[Answered] = []
         if plan.take_out:
-            known = {case.name: case.label.effects for case in cases if case.single}
-            count = CountedProgress(control, _TAKEN_OUT, len(known))
-            again = with_labels(diagnosed(list(known), pool, count, without=known), labels)
-    check = BlindCheck(begun, dict(_scores(cases, again, begun)), found)
+            taken_out = {case.name: case.label.effects for case in cases if case.single}
+            count = CountedProgress(control, _TAKEN_OUT, len(taken_out))
+            again = with_labels(diagnosed(list(taken_out), pool, count, without=taken_out), labels)
+    check = BlindCheck(begun, dict(_scores(cases, again, begun)), answers_by_name)
     if plan.page is not None:
         from tissueid_lab.blind_check.page import write_blind_report
 

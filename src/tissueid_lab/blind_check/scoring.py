@@ -102,8 +102,8 @@ class Answered:
         return len(self.label.effects) == 1 and self.label.listed[0] and self.survives
 
     @property
-    def place(self) -> int:
-        """Place of the first true effect in the ranking, from 0; beyond any place where it is not there."""
+    def rank(self) -> int:
+        """Rank of the first true effect in the ranking, from 0; beyond any rank where it is not there."""
         names = [item["effect"] for item in self.ranking]
         return names.index(self.label.effects[0]) if self.label.effects[0] in names else len(names) + 10
 
@@ -173,8 +173,8 @@ class Rate(_Judged):
         """95 % Wilson interval."""
         if not self.cases:
             return float("nan"), float("nan")
-        found = binomtest(self.hits, self.cases).proportion_ci(method="wilson")
-        return float(found.low), float(found.high)
+        bounds = binomtest(self.hits, self.cases).proportion_ci(method="wilson")
+        return float(bounds.low), float(bounds.high)
 
 
 @dataclass(frozen=True)
@@ -242,9 +242,9 @@ def score_of(cases: Sequence[Answered], targets: Targets, taken_out: Sequence[An
     unknown = [case for case in above if not all(case.label.listed)]
     pairs = [case for case in above if len(case.label.effects) > 1 and all(case.label.listed)]
     rates = [
-        rate(marked("top-1"), single, lambda case: case.place == 0, targets.top1),
+        rate(marked("top-1"), single, lambda case: case.rank == 0, targets.top1),
         rate(marked("top-1 including inseparable effects"), single, _alike, targets.alike),
-        rate(marked("top-3"), single, lambda case: case.place < 3, targets.top3),
+        rate(marked("top-3"), single, lambda case: case.rank < 3, targets.top3),
         rate(marked("stage"), [*single, *unknown], _right_stage, targets.stage),
         rate(marked("unknown effect: unexplained"), unknown, unexplained, targets.unexplained),
         rate(marked("known effect: unexplained"), single, unexplained, 0.05, at_least=False),
@@ -328,7 +328,7 @@ def in_sample(cases: Sequence[Answered]) -> float:
 
 
 def _controls(cases: Sequence[Answered]) -> tuple[Measured, ...]:
-    dealt = [[case.place == 0 for case in permuted(cases, seed) if case.single] for seed in range(PERMUTATIONS)]
+    dealt = [[case.rank == 0 for case in permuted(cases, seed) if case.single] for seed in range(PERMUTATIONS)]
     count = sum(case.single for case in cases)
     return (
         Measured(marked("labels permuted"), mean([mean(hits) for hits in dealt if hits]), count),
@@ -367,7 +367,7 @@ def _figures(single: Sequence[Answered], targets: Targets) -> list[Measured]:
         if case.predicted_closed is not None and case.closed is not None
     ]
     sure = np.array([case.probability for case in single])
-    right = np.array([case.place == 0 for case in single], np.float64)
+    right = np.array([case.rank == 0 for case in single], np.float64)
     return [
         Measured(
             marked("closed share relative to the true model, median"),
@@ -398,8 +398,8 @@ def calibration_error(sure: np.ndarray, right: np.ndarray) -> float:
     """Return the expected calibration error of probabilities, shape (n,); ``right``, shape (n,), is 0 or 1."""
     if not sure.size:
         return float("nan")
-    place = np.minimum((sure * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
-    off = [abs(float((sure - right)[place == k].sum())) for k in range(CALIBRATION_BINS)]
+    bins = np.minimum((sure * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
+    off = [abs(float((sure - right)[bins == k].sum())) for k in range(CALIBRATION_BINS)]
     return sum(off) / sure.size
 
 
@@ -424,17 +424,17 @@ def _pair_scores(pairs: Sequence[Answered], targets: Targets) -> tuple[Measured,
 
 
 def _confusion(single: Sequence[Answered]) -> dict[str, dict[str, int]]:
-    found: dict[str, dict[str, int]] = {}
+    counts: dict[str, dict[str, int]] = {}
     for case in single:
-        row = found.setdefault(case.label.effects[0], {})
+        row = counts.setdefault(case.label.effects[0], {})
         verdict = str(case.ranking[0]["effect"]) if case.verdict == "effect" and case.ranking else case.verdict
         row[verdict] = row.get(verdict, 0) + 1
-    return found
+    return counts
 
 
 def _risk_coverage(single: Sequence[Answered]) -> tuple[tuple[float, float], ...]:
     ordered = sorted(single, key=lambda case: -case.probability)
-    wrong = np.cumsum([case.place != 0 for case in ordered])
+    wrong = np.cumsum([case.rank != 0 for case in ordered])
     return tuple(((k + 1) / len(ordered), float(wrong[k] / (k + 1))) for k in range(len(ordered)))
 
 

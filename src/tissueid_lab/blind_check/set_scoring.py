@@ -114,8 +114,8 @@ def _by_hidden(cases: Sequence[Answered], number: int, what: str) -> Measured:
 
 def _hidden_f1(cases: Sequence[Answered]) -> float:
     # Effects of tissue are left out on both sides.
-    known = all_effects()
-    named = [{name for name in case.named if name not in known or known[name].stage != "tissue"} for case in cases]
+    library = all_effects()
+    named = [{name for name in case.named if name not in library or library[name].stage != "tissue"} for case in cases]
     return f1(named, [set(case.label.hidden) for case in cases])
 
 

@@ -67,40 +67,40 @@ def read_decided(folder: Path) -> list[Decided]:
     Raises:
         UnusableInputError: an answer is missing or cannot be read, or the labels cannot.
     """
-    labels, found = unseal(folder), []
+    labels, decided = unseal(folder), []
     for name in scenario_names(folder):
         label, answer = labels[name], stored_answer(folder, BlindScenario(folder, name).key)
         if answer is None or "grounds" not in answer:
             raise UnusableInputError(f"{folder} has no grounds of the decision on {name}")
         if label.effects and not survives(answer["gap"]["before"], answer["gap"]["floor"]):
             continue
-        listed = frozenset(effect for effect, known in zip(label.effects, label.listed, strict=True) if known)
+        listed = frozenset(effect for effect, is_listed in zip(label.effects, label.listed, strict=True) if is_listed)
         alone = len(label.effects) == len(listed) == 1
-        found.append(Decided(Grounds.from_dict(answer["grounds"]), listed, alone))
+        decided.append(Decided(Grounds.from_dict(answer["grounds"]), listed, alone))
         without = stored_answer(folder, BlindScenario(folder, name, label.effects).key) if alone else None
         if without is not None:
-            found.append(Decided(Grounds.from_dict(without["grounds"]), frozenset(), alone, left_out=True))
-    return found
+            decided.append(Decided(Grounds.from_dict(without["grounds"]), frozenset(), alone, left_out=True))
+    return decided
 
 
 def fit_thresholds(cases: Sequence[Decided], start: Thresholds = THRESHOLDS) -> Thresholds:
     """Return thresholds fitted to decisions of one laboratory. Of equally good values the middle one is taken."""
-    found = _searched(start, DECISION, lambda tried: value(cases, tried))
-    return _searched(found, PROBABILITY, lambda tried: -_brier(cases, tried))
+    thresholds = _searched(start, DECISION, lambda tried: value(cases, tried))
+    return _searched(thresholds, PROBABILITY, lambda tried: -_brier(cases, tried))
 
 
 def _searched(
-    found: Thresholds, grids: dict[str, tuple[float, ...]], goodness: Callable[[Thresholds], float]
+    thresholds: Thresholds, grids: dict[str, tuple[float, ...]], goodness: Callable[[Thresholds], float]
 ) -> Thresholds:
     for _ in range(ROUNDS):
-        before = found
+        before = thresholds
         for name, grid in grids.items():
-            values = [goodness(changed(found, name, item)) for item in grid]
+            values = [goodness(changed(thresholds, name, item)) for item in grid]
             best = [item for item, reached in zip(grid, values, strict=True) if reached >= max(values) - 1e-9]
-            found = changed(found, name, best[len(best) // 2])
-        if found == before:
+            thresholds = changed(thresholds, name, best[len(best) // 2])
+        if thresholds == before:
             break
-    return found
+    return thresholds
 
 
 def changed(thresholds: Thresholds, name: str, value: float) -> Thresholds:
@@ -116,7 +116,7 @@ def value(cases: Sequence[Decided], thresholds: Thresholds) -> float:
         names = decide(case.grounds, thresholds)
         right = len(names & case.true) / len(case.true) - WRONG * len(names - case.true) if case.true else not names
         kinds.setdefault((min(len(case.true), 2), case.left_out), []).append(float(right))
-    return sum(float(np.mean(found)) for found in kinds.values())
+    return sum(float(np.mean(values)) for values in kinds.values())
 
 
 def _sure(cases: Sequence[Decided], thresholds: Thresholds) -> tuple[np.ndarray, np.ndarray]:
