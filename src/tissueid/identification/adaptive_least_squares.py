@@ -92,12 +92,12 @@ def advance(
         if scalars[RECEIVED] < taps or not isfinite(y[n]):
             continue
         middle, output = scalars[INPUT_MEAN], y[n] - scalars[OUTPUT_MEAN]
-        known = 0.0
+        predicted = 0.0
         energy = 0.0
         for k in range(taps):
-            known += response[k] * (x[k] - middle)
+            predicted += response[k] * (x[k] - middle)
             energy += (x[k] - middle) ** 2
-        error = output - known  # Eq. 6.7
+        error = output - predicted  # Eq. 6.7
         errors[n] = error
         scalars[UPDATES] += 1.0
         if scalars[DIVERGED] == 0.0:

@@ -150,10 +150,10 @@ class FitReport:
     @property
     def predicts_nothing(self) -> bool:
         """Whether the free run fails on held-out data: its VAF is 0 or less, or not significant."""
-        found, p_value = self.vaf_validation_percent, self.validation_p_value
-        if found is None or math.isnan(found):
+        vaf, p_value = self.vaf_validation_percent, self.validation_p_value
+        if vaf is None or math.isnan(vaf):
             return False
-        return found <= 0.0 or (p_value is not None and p_value > SIGNIFICANT)
+        return vaf <= 0.0 or (p_value is not None and p_value > SIGNIFICANT)
 
     @property
     def reportable_parameters(self) -> dict[str, Estimate]:
@@ -451,15 +451,15 @@ def _with_parametric_warning(model: Model) -> Model:
     """Return the model with a warning if mass, damping and stiffness explain much less than the response shown."""
     report = model.report
     spare = max(report.n_samples - report.n_parameters, 1)
-    left = 100.0 - report.details.get(PARAMETRIC, 100.0)
+    unexplained = 100.0 - report.details.get(PARAMETRIC, 100.0)
     least = (100.0 - report.vaf_percent) * max(report.n_samples, 1) / spare
-    if not (left - least > _SHORTFALL_PERCENT and left > _SHORTFALL_RATIO * least):
+    if not (unexplained - least > _SHORTFALL_PERCENT and unexplained > _SHORTFALL_RATIO * least):
         return model
     warning = Message(
         "second_order.explains_less",
         "mass, damping and stiffness belong to a second-order system that explains {parametric:.2f} % of the fitted "
         "output, and the response explains {response:.2f} %: they can be biased by more than their standard deviations",
-        parametric=100.0 - left,
+        parametric=100.0 - unexplained,
         response=report.vaf_percent,
     )
     return model.with_report(warnings=(*report.warnings, warning))

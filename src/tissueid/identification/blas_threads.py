@@ -36,7 +36,7 @@ def _libraries() -> tuple[tuple[Callable[[], int], Callable[[int], None]], ...]:
     The symbols are looked up among the dependencies of two extension modules. Empty for other libraries and where the
     system does not search dependencies (Windows): threads are then not limited.
     """
-    found = []
+    accessors = []
     for module in (np.linalg._umath_linalg, scipy.linalg._fblas):  # type: ignore[attr-defined]
         try:
             library = ctypes.CDLL(module.__file__)
@@ -44,9 +44,9 @@ def _libraries() -> tuple[tuple[Callable[[], int], Callable[[int], None]], ...]:
             continue
         for get, put in _SYMBOLS:
             if hasattr(library, get) and hasattr(library, put):
-                found.append((getattr(library, get), getattr(library, put)))
+                accessors.append((getattr(library, get), getattr(library, put)))
                 break
-    return tuple(found)
+    return tuple(accessors)
 
 
 def blas_threads() -> tuple[int, ...]:

@@ -116,9 +116,9 @@ def localized_levels(record: Record) -> tuple[Level, ...]:
     levels = find_levels(record.input, used, memory, joints=record.joints)
     # From half of a level to shortly before its end: without ringing and creep, and without the next step.
     settled = [
-        slice((one.first + one.end) // 2, one.end - (one.end - one.first) // 10)
-        for one in levels
-        if one.end - one.first > 2 * memory
+        slice((level.first + level.end) // 2, level.end - (level.end - level.first) // 10)
+        for level in levels
+        if level.end - level.first > 2 * memory
     ]
     settled = [part for part in settled if used[part].sum() > memory // 2]
     if len(settled) < _FEWEST_LEVELS:
@@ -169,13 +169,13 @@ def _threshold(x: Array, runs: list[tuple[int, int]], width: int) -> float:
 def _steps_found(x: Array, runs: list[tuple[int, int]], width: int, threshold: float) -> list[list[int]]:
     """Return the samples at which the level changes, for each run."""
     changes = [_change(x[first:end], width) for first, end in runs]
-    found = []
+    steps = []
     for (first, _), change in zip(runs, changes, strict=True):
         size = np.abs(change)
         highest = ndimage.maximum_filter1d(size, 2 * width + 1)
         peaks = np.flatnonzero((size == highest) & (size > threshold))
-        found.append([first + width + int(peak) for peak in peaks])
-    return found
+        steps.append([first + width + int(peak) for peak in peaks])
+    return steps
 
 
 def _change(x: Array, width: int) -> Array:
@@ -186,9 +186,9 @@ def _change(x: Array, width: int) -> Array:
 
 
 def _steps_to(x: Array, runs: list[tuple[int, int]], width: int, levels: Array) -> list[list[int]]:
-    found = []
+    steps = []
     for first, end in runs:
         smooth = ndimage.median_filter(x[first:end], width, mode="nearest")
         nearest = np.argmin(np.abs(smooth[:, None] - levels), axis=1)
-        found.append([first + int(step) for step in np.flatnonzero(np.diff(nearest)) + 1])
-    return found
+        steps.append([first + int(step) for step in np.flatnonzero(np.diff(nearest)) + 1])
+    return steps

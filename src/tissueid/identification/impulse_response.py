@@ -92,13 +92,13 @@ def _levinson(column: Array, right: Array) -> tuple[Array, float]:
             error *= 1.0 - reflection * reflection
         if not error > 0.0:
             break
-        left = right[n]
+        correction = right[n]
         for k in range(n):
-            left -= solution[k] * lags[k]
-        left /= error
+            correction -= solution[k] * lags[k]
+        correction /= error
         reverse = predictor[: n + 1][::-1]
         for k in range(n + 1):
-            solution[k] += left * reverse[k]
+            solution[k] += correction * reverse[k]
     return solution, error
 
 
@@ -209,8 +209,8 @@ def long_run_covariance(terms: Array, block: int) -> Array:
     rows = terms / size
     before, after = rows[:-1], rows[1:]
     regression = np.linalg.lstsq(before, after, rcond=1e-10)[0].T  # after = regression @ before + innovation
-    left, gains, right = np.linalg.svd(regression)
-    regression = (left * np.minimum(gains, _LARGEST_GAIN)) @ right
+    left_vectors, gains, right = np.linalg.svd(regression)
+    regression = (left_vectors * np.minimum(gains, _LARGEST_GAIN)) @ right
     colouring = np.linalg.inv(np.eye(size.size) - regression) * size[:, None]
     innovations = _block_covariance(after - before @ regression.T, block)
     return np.asarray(
@@ -402,11 +402,11 @@ def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
     residuals (n,). NaN residuals are missing: the sums are scaled by the number of known ones.
     """
     lags = inverse.shape[0]
-    known = np.isfinite(residuals)
+    finite = np.isfinite(residuals)
     length = fft.next_fast_len(2 * x.size, real=True)
     x_power = np.abs(fft.rfft(np.where(np.isfinite(x), x, 0.0), length)) ** 2 / np.isfinite(x).sum()
-    error = np.where(known, residuals - np.mean(residuals[known]), 0.0)
-    error_correlation = fft.irfft(np.abs(fft.rfft(error, length)) ** 2, length) / known.sum()
+    error = np.where(finite, residuals - np.mean(residuals[finite]), 0.0)
+    error_correlation = fft.irfft(np.abs(fft.rfft(error, length)) ** 2, length) / finite.sum()
     lag = np.minimum(np.arange(length), length - np.arange(length))
     error_power = fft.rfft(error_correlation * np.maximum(0.0, 1.0 - lag / lags), length).real
     score_correlation = fft.irfft(x_power * error_power, length)[:lags]
@@ -415,7 +415,7 @@ def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
     spread = (
         linalg.toeplitz(score_correlation) @ inverse if whole else linalg.matmul_toeplitz(score_correlation, inverse)
     )
-    variance = np.einsum("ij,ij->j", spread, inverse) / known.sum()
+    variance = np.einsum("ij,ij->j", spread, inverse) / finite.sum()
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
 
 
@@ -469,6 +469,6 @@ def segment_average(
             all=len(kernels) + rejected,
             limit=most_condition,
         )
-    found = np.array(kernels)
-    std = np.std(found, axis=0, ddof=1) * np.sqrt(2.0 / len(kernels))
-    return SegmentAverage(found.mean(axis=0), std, len(kernels), rejected)
+    estimates = np.array(kernels)
+    std = np.std(estimates, axis=0, ddof=1) * np.sqrt(2.0 / len(kernels))
+    return SegmentAverage(estimates.mean(axis=0), std, len(kernels), rejected)

@@ -92,11 +92,11 @@ class LaggedRegressors:
         rows = np.flatnonzero(self.used)
         explicit = np.empty((rows.size, self.columns))
         explicit[:, : int(self.constant)] = 1.0
-        place = int(self.constant)
+        column = int(self.constant)
         for channel, count in zip(self.channels, self.lags, strict=True):
             for lag in range(count):
-                explicit[:, place] = channel[rows - lag * self.spacing]
-                place += 1
+                explicit[:, column] = channel[rows - lag * self.spacing]
+                column += 1
         return explicit
 
     def gram(self, order: NDArray[np.intp] | None = None) -> Array:
@@ -111,12 +111,12 @@ class LaggedRegressors:
 def _channels_by_lag(lags: tuple[int, ...]) -> list[tuple[int, slice | NDArray[np.intp]]]:
     """Return each lag with the channels that have it, as a slice if they are adjacent."""
     counts = np.array(lags)
-    found: list[tuple[int, slice | NDArray[np.intp]]] = []
+    groups: list[tuple[int, slice | NDArray[np.intp]]] = []
     for lag in range(int(counts.max(initial=0))):
         there = np.flatnonzero(counts > lag)
         together = there[-1] - there[0] + 1 == there.size
-        found.append((lag, slice(int(there[0]), int(there[-1]) + 1) if together else there))
-    return found
+        groups.append((lag, slice(int(there[0]), int(there[-1]) + 1) if together else there))
+    return groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +140,9 @@ class _Sums:
         channel = np.concatenate([np.flatnonzero(counts > lag) for lag in range(longest)])
         starts = np.concatenate([[0], np.cumsum([np.count_nonzero(counts > lag) for lag in range(longest)])])
         lag = np.repeat(np.arange(longest), np.diff(starts))
-        place = np.full((counts.size, longest), -1)
-        place[channel, lag] = np.arange(channel.size)
-        before = np.where(lag > 0, place[channel, lag - 1], -1)
+        position = np.full((counts.size, longest), -1)
+        position[channel, lag] = np.arange(channel.size)
+        before = np.where(lag > 0, position[channel, lag - 1], -1)
         return cls(regressors, channel, lag, starts, before)
 
     def gram(self) -> Array:
@@ -173,8 +173,8 @@ class _Sums:
                 values[:constant] = 1.0
                 for lag, some in lagged:
                     back = lag * regressors.spacing
-                    place = slice(self.starts[lag] + (constant if lag == 0 else 0), self.starts[lag + 1])
-                    values[place] = regressors.channels[some, begin - back : stop - back]
+                    part = slice(self.starts[lag] + (constant if lag == 0 else 0), self.starts[lag + 1])
+                    values[part] = regressors.channels[some, begin - back : stop - back]
                 total += values[:count] @ values.T
         return total
 
@@ -211,9 +211,9 @@ class _Sums:
         for lag, some in _channels_by_lag(regressors.lags):
             sample = rows - lag * regressors.spacing
             within = (sample >= 0) & (sample < regressors.used.size)
-            found = np.take(regressors.channels[some], np.where(within, sample, 0), axis=1)
-            place = slice(self.starts[lag] + (constant if lag == 0 else 0), self.starts[lag + 1])
-            values[place] = np.where(within & np.isfinite(found), found, 0.0)
+            taken = np.take(regressors.channels[some], np.where(within, sample, 0), axis=1)
+            part = slice(self.starts[lag] + (constant if lag == 0 else 0), self.starts[lag + 1])
+            values[part] = np.where(within & np.isfinite(taken), taken, 0.0)
         return values
 
 
@@ -296,9 +296,9 @@ def factor(gram: Array, regressors: Regressors) -> Factor:
     scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
     if np.all(length > 0.0):
         scaled = gram * np.outer(scale, scale)
-        found = _semi_normal(scaled, regressors, scale)
-        if found is not None:
-            return found
+        semi_normal = _semi_normal(scaled, regressors, scale)
+        if semi_normal is not None:
+            return semi_normal
     return _householder(regressors, scale)
 
 
@@ -312,8 +312,8 @@ class _SemiNormal:
     def solve(self, y: Array) -> Array:
         theta = self.gram_solve(self.scale * self.regressors.adjoint(y))
         for _ in range(self.corrections):
-            left = y - self.regressors.apply(self.scale * theta)
-            theta = theta + self.gram_solve(self.scale * self.regressors.adjoint(left))
+            residual = y - self.regressors.apply(self.scale * theta)
+            theta = theta + self.gram_solve(self.scale * self.regressors.adjoint(residual))
         return theta
 
     def gram_solve(self, right: Array) -> Array:
@@ -352,7 +352,7 @@ def _contraction(solver: _SemiNormal) -> float:
     error = np.where(np.arange(solver.scale.size) % 2 == 0, 1.0, -1.0)
     for _ in range(_TRIALS):
         error = solver.gram_solve(error / float(np.linalg.norm(error)))
-    left = 0.0
+    contraction = 0.0
     for _ in range(_TRIALS):
         size = float(np.linalg.norm(error))
         if size == 0.0:
@@ -360,8 +360,8 @@ def _contraction(solver: _SemiNormal) -> float:
         error = error / size
         seen = solver.scale * solver.regressors.adjoint(solver.regressors.apply(solver.scale * error))
         error = error - solver.gram_solve(seen)
-        left = max(left, float(np.linalg.norm(error)))
-    return left
+        contraction = max(contraction, float(np.linalg.norm(error)))
+    return contraction
 
 
 @dataclass(frozen=True, eq=False)

@@ -181,11 +181,11 @@ class SecantProblem(Problem[SecantPoint[E]], Generic[E]):
         self._exact = False
         self._set_jacobian(np.empty((0, steps.size)))
 
-    def start(self, theta: Array, known: Callable[[Array, Array], Array] | None = None) -> SecantPoint[E]:
-        """Return the starting point. ``known`` provides an approximate Jacobian there in place of the exact one."""
+    def start(self, theta: Array, derivatives: Callable[[Array, Array], Array] | None = None) -> SecantPoint[E]:
+        """Return the starting point. ``derivatives`` replaces the exact Jacobian there by an approximate one."""
         self._last = at = self._point(theta)
-        self._set_jacobian((known or self._derivatives)(theta, at.residuals))
-        self._exact = known is None
+        self._set_jacobian((derivatives or self._derivatives)(theta, at.residuals))
+        self._exact = derivatives is None
         return at
 
     def restart(self, at: SecantPoint[E]) -> SecantPoint[E]:
@@ -254,10 +254,10 @@ class SecantProblem(Problem[SecantPoint[E]], Generic[E]):
         return change
 
     def _transposed_times(self, values: Array) -> Array:
-        found = self._base.T @ values
+        product = self._base.T @ values
         for column, row in zip(self._columns, self._rows, strict=True):
-            found = found + float(column @ values) * row
-        return found
+            product = product + float(column @ values) * row
+        return product
 
     def _point(self, theta: Array) -> SecantPoint[E]:
         residuals, extra = self._evaluate(theta)

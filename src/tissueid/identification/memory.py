@@ -114,13 +114,14 @@ def automatic_memory(record: Record, fit_part: slice | None, usual_s: float, mar
         return usual_s
     if part_length(record, fit_part) < _LEAST_SAMPLES_PER_LAG * _RUNGS[0]:
         return usual_s if of_tissue else usual / rate
-    known = part_mask(len(record), fit_part) & np.isfinite(record.input) & np.isfinite(record.output)
-    places = np.flatnonzero(known)
+    complete = part_mask(len(record), fit_part) & np.isfinite(record.input) & np.isfinite(record.output)
+    places = np.flatnonzero(complete)
     if places.size < _LEAST_SAMPLES_PER_LAG * _RUNGS[0]:
         return usual_s if of_tissue else usual / rate
     inside = slice(int(places[0]), int(places[-1]) + 1)
     signals = [
-        np.where(known[inside], values[inside] - values[known].mean(), 0.0) for values in (record.input, record.output)
+        np.where(complete[inside], values[inside] - values[complete].mean(), 0.0)
+        for values in (record.input, record.output)
     ]
     if not np.any(np.diff(signals[0])):  # constant: every fit refuses it
         return usual_s if of_tissue else usual / rate

@@ -97,11 +97,11 @@ class Identifier(ABC):
 
         NaN if there is no prediction or no output.
         """
-        place = self._next_index(1)
+        index = self._next_index(1)
         if self._means[0] is None or self._means[1] is None:
             self._set_operating_point(np.array([u]), np.array([y]))
-        self._put(place, u, y)
-        return self._step(place, 1)
+        self._put(index, u, y)
+        return self._step(index, 1)
 
     def batch(self, u: Array, y: Array) -> Array:
         """Add inputs (n,) and outputs (n,), and return the prediction errors (n,) before each update.
@@ -115,10 +115,10 @@ class Identifier(ABC):
         done = 0
         while done < u.size:
             n = min(u.size - done, self._keep, self._stride - self._taken % self._stride)
-            place = self._next_index(n)
-            self._put(slice(place, place + n), u[done : done + n], y[done : done + n])
-            self._step(place, n)
-            errors[done : done + n] = self._recent[2, place : place + n]
+            index = self._next_index(n)
+            self._put(slice(index, index + n), u[done : done + n], y[done : done + n])
+            self._step(index, n)
+            errors[done : done + n] = self._recent[2, index : index + n]
             done += n
         return errors
 
@@ -180,11 +180,11 @@ class Identifier(ABC):
 
     def _set_operating_point(self, u: Array, y: Array) -> None:
         """Set an unknown operating point to the first received sample."""
-        known = []
+        means = []
         for mean, values in zip(self._means, (u, y), strict=True):
             received = values[np.isfinite(values)] if mean is None else values[:0]
-            known.append(float(received[0]) if received.size else mean)
-        self._means = (known[0], known[1])
+            means.append(float(received[0]) if received.size else mean)
+        self._means = (means[0], means[1])
 
     def _next_index(self, n: int) -> int:
         """Return the index for the next n samples; move the latest samples to the front of a full buffer."""
@@ -193,13 +193,13 @@ class Identifier(ABC):
             self._held = self._keep
         return self._held
 
-    def _put(self, place: int | slice, u: float | Array, y: float | Array) -> None:
-        self._recent[0, place] = u - self.input_mean
-        self._recent[1, place] = y - self.output_mean
+    def _put(self, index: int | slice, u: float | Array, y: float | Array) -> None:
+        self._recent[0, index] = u - self.input_mean
+        self._recent[1, index] = y - self.output_mean
 
-    def _step(self, place: int, n: int) -> float:
-        """Update with the n samples at ``place``, which end at or before a snapshot; return the last error."""
-        some = slice(place, place + n)
+    def _step(self, index: int, n: int) -> float:
+        """Update with the n samples at ``index``, which end at or before a snapshot; return the last error."""
+        some = slice(index, index + n)
         errors = self._recent[2, some]
         self._advance(self._recent[0, some], self._recent[1, some], errors)
         self._held += n
@@ -207,14 +207,14 @@ class Identifier(ABC):
         last = float(errors[-1])
         if n == 1:
             if not math.isnan(last):
-                y = float(self._recent[1, place])
+                y = float(self._recent[1, index])
                 self._sums += (1.0, last, last * last, y, y * y)
         else:
             used = np.isfinite(errors)
             e, y_used = errors[used], self._recent[1, some][used]
             self._sums += np.array([e.size, e.sum(), e @ e, y_used.sum(), y_used @ y_used])
         if self._taken % self._stride == 0 and not math.isnan(last):
-            self._store_snapshot(float(self._recent[1, place + n - 1]))
+            self._store_snapshot(float(self._recent[1, index + n - 1]))
         return last
 
     def _store_snapshot(self, y: float) -> None:

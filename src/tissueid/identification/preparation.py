@@ -84,11 +84,11 @@ def detrended(record: Record) -> Record:
     t = np.arange(len(record)) / record.sample_rate_hz
 
     def level(values: Array) -> Array:
-        known = np.isfinite(values)
-        if int(known.sum()) < 3:
+        finite = np.isfinite(values)
+        if int(finite.sum()) < 3:
             return values
-        away = t - t[known].mean()
-        return np.asarray(values - float(away[known] @ values[known] / (away[known] @ away[known])) * away)
+        away = t - t[finite].mean()
+        return np.asarray(values - float(away[finite] @ values[finite] / (away[finite] @ away[finite])) * away)
 
     return replace(record, input=level(record.input), output=level(record.output))
 
@@ -123,12 +123,12 @@ def band_filtered(record: Record, low_hz: float | None, high_hz: float | None) -
     sections = signal.butter(_FILTER_ORDER, edges if len(edges) == 2 else edges[0], kind, fs=2 * nyquist, output="sos")
     padding = min(len(record) // 4, round(record.sample_rate_hz / edges[0]))
     filtered = {}
-    known = np.isfinite(record.input) & np.isfinite(record.output)
+    finite = np.isfinite(record.input) & np.isfinite(record.output)
     for name in ("input", "output"):
         values = getattr(record, name)
         passed = np.full(values.size, np.nan)
-        mean = float(values[known].mean()) if known.any() else 0.0
-        for first, end in finite_runs(known):
+        mean = float(values[finite].mean()) if finite.any() else 0.0
+        for first, end in finite_runs(finite):
             if end - first > max(padding, 3 * (2 * len(sections) + 1)):
                 passed[first:end] = mean + signal.sosfiltfilt(sections, values[first:end] - mean, padlen=padding)
         filtered[name] = passed

@@ -39,13 +39,13 @@ def ramp_stiffness(record: Record) -> dict[str, Estimate]:
     """
     if (record.input_unit, record.output_unit) != ("N", "m"):
         return {}
-    known = np.flatnonzero(record.valid)
-    if known.size < _FEWEST:
+    valid = np.flatnonzero(record.valid)
+    if valid.size < _FEWEST:
         return {}
-    x, force = record.output[known], record.input[known]
+    x, force = record.output[valid], record.input[valid]
     smooth = _smooth(x)
     turns = _turning_points(smooth, _LEAST_HEIGHT * float(np.ptp(smooth)))
-    fewest = max(_FEWEST, round(_LEAST_LENGTH * known.size))
+    fewest = max(_FEWEST, round(_LEAST_LENGTH * valid.size))
     ramps: dict[float, list[np.ndarray]] = {1.0: [], -1.0: []}
     for first, last in pairwise(turns):
         height = smooth[last] - smooth[first]

@@ -68,10 +68,10 @@ class Recommendation:
     def with_choice(self, option: str, trials: Sequence[tuple[float, Array]], held_out: Record) -> Recommendation:
         """Return a copy with an option chosen from held-out errors (n,) at several values; see :func:`sufficient`."""
         tried = tuple((value, _vaf(error, held_out)) for value, error in trials)
-        found = SufficientOption(
+        chosen = SufficientOption(
             option, sufficient(trials, held_out), *(tuple(column) for column in zip(*tried, strict=True))
         )
-        return replace(self, choices=(*self.choices, found))
+        return replace(self, choices=(*self.choices, chosen))
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; ``messages`` holds code, template and values of each sentence."""
@@ -194,12 +194,12 @@ def _unbeaten(
     The second condition excludes models with very large errors in one stretch: these errors also widen the standard
     error of the lead, so that the lead is not significant.
     """
-    left = list(scored)
-    out = [c for c in left if any(beaten(leads[other, c]) for other in scored)]
+    remaining = list(scored)
+    out = [c for c in remaining if any(beaten(leads[other, c]) for other in scored)]
     while out:
-        left = [c for c in left if c not in out]
-        out = [c for c in left if any(leads[other, c].points > 0.0 for other in scored if other not in left)]
-    return left
+        remaining = [c for c in remaining if c not in out]
+        out = [c for c in remaining if any(leads[other, c].points > 0.0 for other in scored if other not in remaining)]
+    return remaining
 
 
 def _standing(

@@ -53,8 +53,8 @@ def difference(error: Array, other: Array, measured: Array, sample_rate_hz: floa
     ours, theirs = (np.square(e[used] - np.mean(e[used])) for e in (error, other))
     gain = 100.0 * (theirs - ours) / variance  # (n,) points of VAF
     points = float(np.mean(gain))
-    left = float(np.mean(theirs))
-    reduction = 1.0 - float(np.mean(ours)) / left if left > 0.0 else 0.0
+    other_mean = float(np.mean(theirs))
+    reduction = 1.0 - float(np.mean(ours)) / other_mean if other_mean > 0.0 else 0.0
     terms = gain - points
     if n < FEWEST or not np.any(terms):
         return VafDifference(points, None, None, reduction, n)
@@ -251,29 +251,29 @@ _HEADLINES: Mapping[Family, tuple[str, str]] = {
 """Code and template of the headline for the family of the recommended model."""
 
 
-def choice(found: SufficientOption) -> Message:
+def choice(chosen: SufficientOption) -> Message:
     """Return one sentence on the smallest sufficient value of an option."""
-    values = {"value": number(found.value, 3), "option": found.option}
-    sized = found.value < max(found.tried)
-    if found.option == "memory" and sized:
+    values = {"value": number(chosen.value, 3), "option": chosen.option}
+    sized = chosen.value < max(chosen.tried)
+    if chosen.option == "memory" and sized:
         return Message(
             "recommendation.memory", "A memory of {value} s is enough; a longer one gains nothing.", **values
         )
-    if found.option == "memory":
+    if chosen.option == "memory":
         return Message(
             "recommendation.longest_memory", "A memory of {value} s is enough; a longer one was not tried.", **values
         )
-    if found.option == "partitions" and sized:
+    if chosen.option == "partitions" and sized:
         return Message(
             "recommendation.partitions",
             "{value} partitions are enough; more partitions do not improve the fit.",
             **values,
         )
-    if found.option == "partitions":
+    if chosen.option == "partitions":
         return Message(
             "recommendation.most_partitions", "{value} partitions are enough; more were not tried.", **values
         )
-    if found.option == "order":
+    if chosen.option == "order":
         return Message("recommendation.order", "Kernels up to order {value} are enough of those tried.", **values)
     return Message("recommendation.option", "A value of {value} is enough for the option {option}.", **values)
 
@@ -407,13 +407,13 @@ def doubts(basis: Basis) -> Iterator[Message]:
             percent=guided.scheduled_percent,
             free=guided.vaf_percent,
         )
-    left = _left_to_ceiling(basis)
-    if left > _LEFT_TO_CEILING_POINTS:
+    headroom = _left_to_ceiling(basis)
+    if headroom > _LEFT_TO_CEILING_POINTS:
         yield Message(
             "recommendation.below_ceiling",
             "Repeats agree to {percent:.1f} %: {points:.1f} points could be explained, and no model explains them.",
             percent=basis.ceiling_percent,
-            points=left,
+            points=headroom,
         )
 
 

@@ -37,8 +37,8 @@ def without_spring(parameters: Mapping[Name, Estimate], spring_n_per_m: float) -
     Natural frequency, damping ratio and relative growth of stiffness with depth still describe tissue and spring.
     """
     return {
-        name: replace(found, value=found.value - spring_n_per_m) if _is_stiffness(name) else found
-        for name, found in parameters.items()
+        name: replace(estimate, value=estimate.value - spring_n_per_m) if _is_stiffness(name) else estimate
+        for name, estimate in parameters.items()
     }
 
 

@@ -136,16 +136,16 @@ class SecondOrderFit:
         Empty for an overdamped system, which has no such form.
         """
         decay, squared = self.system.decay_and_frequency
-        found = self.system.impulse_coefficients(1.0)
-        if found is None:
+        coefficients = self.system.impulse_coefficients(1.0)
+        if coefficients is None:
             return {}
         stiffness = self.system.stiffness / self.system.mass
         bend = (0.5 * (2.0 * decay**2 - stiffness) / squared, -(decay**2) / squared, 0.5 * stiffness / squared)
         unit = "_m_per_n_s" if self.mechanical else ""
         return {
-            f"a1{unit}": self.estimate(self.sign * found[0], (-1.0 - bend[0], -bend[1], -bend[2])),
-            "a2_rad_per_s": self.estimate(found[1], bend),
-            "a3_per_s": self.estimate(found[2], (-1.0, 1.0, 0.0)),
+            f"a1{unit}": self.estimate(self.sign * coefficients[0], (-1.0 - bend[0], -bend[1], -bend[2])),
+            "a2_rad_per_s": self.estimate(coefficients[1], bend),
+            "a3_per_s": self.estimate(coefficients[2], (-1.0, 1.0, 0.0)),
         }
 
     def behind_coil(self, resistance: Estimate, force_constant: Estimate) -> dict[str, Estimate]:
@@ -164,10 +164,14 @@ class SecondOrderFit:
 
         def value(row: int, volts: float, subtracted: float = 0.0) -> Estimate:
             variance = math.nan if self.log_covariance is None else float(self.log_covariance[row, row])
-            found = force_per_volt * volts
-            parts = found * math.sqrt(variance), (found - subtracted) * errors[0], (found - 2 * subtracted) * errors[1]
+            quantity = force_per_volt * volts
+            parts = (
+                quantity * math.sqrt(variance),
+                (quantity - subtracted) * errors[0],
+                (quantity - 2 * subtracted) * errors[1],
+            )
             std = math.hypot(*parts)
-            return Estimate(self.sign * (found - subtracted), std if math.isfinite(std) else None)
+            return Estimate(self.sign * (quantity - subtracted), std if math.isfinite(std) else None)
 
         return {
             "mass_kg": value(0, self.system.mass),
@@ -271,31 +275,33 @@ def fit_second_order(
             bounds=_STEPS if len(theta) == 3 else _STEPS_LATE,
         )
 
-    found = search([math.log(system.mass), math.log(system.damping), math.log(system.stiffness)])
-    late = problem.point(np.append(found.point.theta, 0.0))
+    minimum = search([math.log(system.mass), math.log(system.damping), math.log(system.stiffness)])
+    late = problem.point(np.append(minimum.point.theta, 0.0))
     step = np.linalg.lstsq(late.slopes, late.error, rcond=1e-10)[0]  # which removes a share of the error to first order
     if float(late.error @ late.slopes @ step) / max(late.cost, 1e-300) > _WORTH_DEAD_TIME:
         other, other_sign, shift = correlations.start(_DEAD_TIMES)
         starts = [list(late.theta)]
         if other_sign == sign:
             starts.append([math.log(other.mass), math.log(other.damping), math.log(other.stiffness), float(shift)])
-        with_dead_time = min((search(theta) for theta in starts), key=lambda one: one.point.cost)
-        gained = found.point.cost - with_dead_time.point.cost
+        with_dead_time = min((search(theta) for theta in starts), key=lambda trial: trial.point.cost)
+        gained = minimum.point.cost - with_dead_time.point.cost
         power = float(y @ y) if w is None else float((w * y) @ (w * y))
-        decisive = with_dead_time.point.cost < _LEFT_BY_DEAD_TIME * found.point.cost and gained > _RELEVANT_GAIN * power
+        decisive = (
+            with_dead_time.point.cost < _LEFT_BY_DEAD_TIME * minimum.point.cost and gained > _RELEVANT_GAIN * power
+        )
         if decisive and abs(with_dead_time.point.theta[3]) > _LEAST_DEAD_TIME:
-            found = with_dead_time
-    mass, damping, stiffness = np.exp(found.point.theta[:3])
+            minimum = with_dead_time
+    mass, damping, stiffness = np.exp(minimum.point.theta[:3])
     fitted = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     covariance = None
-    if found.converged:
-        error = found.point.error
-        covariance = sandwich(found.point.slopes, error, dependence_samples(error, rate))
+    if minimum.converged:
+        error = minimum.point.error
+        covariance = sandwich(minimum.point.slopes, error, dependence_samples(error, rate))
     dead_time = None
-    if found.point.theta.size > 3:
+    if minimum.point.theta.size > 3:
         variance = math.nan if covariance is None else float(covariance[3, 3])
         std = math.sqrt(variance) / rate if math.isfinite(variance) else None
-        dead_time = Estimate(float(found.point.theta[3]) / rate, std)
+        dead_time = Estimate(float(minimum.point.theta[3]) / rate, std)
         covariance = None if covariance is None else covariance[:3, :3]
     warnings: list[str] = []
     if covariance is None:
@@ -306,9 +312,9 @@ def fit_second_order(
             )
         )
     else:
-        known = np.sqrt(np.diag(covariance)) < _LARGEST_RELATIVE_STD
+        determined = np.sqrt(np.diag(covariance)) < _LARGEST_RELATIVE_STD
         names = (marked("mass"), marked("damping"), marked("stiffness"))
-        unknown = tuple(name for name, ok in zip(names, known, strict=True) if not ok)
+        unknown = tuple(name for name, ok in zip(names, determined, strict=True) if not ok)
         if unknown:
             warnings.append(
                 Message(
@@ -428,9 +434,9 @@ def _evaluate(
             turn = -2j * np.pi * np.arange(response.size) / run.length  # of the phase for each sample of dead time
             driven = driven * np.exp(theta[3] * turn)
             answers.append(response * turn)
-        for row, one in enumerate(answers):
-            one *= driven
-            here[row] = fft.irfft(one, run.length, overwrite_x=True)[run.local]
+        for row, answer in enumerate(answers):
+            answer *= driven
+            here[row] = fft.irfft(answer, run.length, overwrite_x=True)[run.local]
         np.subtract(y[run.place], here[0], out=here[0])
         t = run.time_s[: int(np.searchsorted(run.time_s, lasting_s))]
         free = np.column_stack(
@@ -489,8 +495,8 @@ class _Correlations:
         shifts = [late for late in dead_times if late < lags]
         explained = np.array([kernels[:, : lags - late] @ self.cross[late:] for late in shifts])  # (shifts, systems)
         merit = np.where(energy > 0.0, explained**2 / np.maximum(energy, 1e-300), -1.0)
-        place, best = np.unravel_index(int(np.argmax(merit)), merit.shape)
-        gain = explained[place, best] / energy[best] if energy[best] > 0.0 else 0.0
+        shift, best = np.unravel_index(int(np.argmax(merit)), merit.shape)
+        gain = explained[shift, best] / energy[best] if energy[best] > 0.0 else 0.0
         if gain == 0.0 or not np.isfinite(gain):
             raise UnusableInputError(
                 "second_order.no_response",
@@ -498,7 +504,7 @@ class _Correlations:
             )
         unit, scale = systems[int(best)], 1.0 / abs(float(gain))
         system = SecondOrder(unit.mass * scale, unit.damping * scale, unit.stiffness * scale)
-        return system, float(np.sign(gain)), shifts[int(place)]
+        return system, float(np.sign(gain)), shifts[int(shift)]
 
 
 @lru_cache(maxsize=8)

@@ -86,29 +86,29 @@ def wiener_parameters(
         c3: known C3, if the offset is unknown.
         mechanical: the record is of N and m.
     """
-    found: dict[str, Estimate] = {}
+    estimates: dict[str, Estimate] = {}
     if isinstance(nonlinearity, ExponentialCurve):
         in_m, per_n, in_n = ("_m", "_per_n", "_n") if mechanical else ("", "", "")
-        for place, name in enumerate((f"c1{in_m}", f"c2{per_n}", f"c3{in_n}", f"offset{in_m}")):
-            found[name] = derived(
+        for index, name in enumerate((f"c1{in_m}", f"c2{per_n}", f"c3{in_n}", f"offset{in_m}")):
+            estimates[name] = derived(
                 nonlinearity,
                 covariance,
-                lambda g, place=place: g.thesis_constants(surface, c3)[place],  # type: ignore[misc]
+                lambda g, index=index: g.thesis_constants(surface, c3)[index],  # type: ignore[misc]
             )
     mass = stage.estimate(scaling * stage.system.mass / stage.system.stiffness, (1.0, 0.0, -1.0))
     damping = stage.estimate(scaling * stage.system.damping / stage.system.stiffness, (0.0, 1.0, -1.0))
-    found |= {"scaled_mass_s2": mass, "scaled_damping_s": damping}
+    estimates |= {"scaled_mass_s2": mass, "scaled_damping_s": damping}
     here = np.array([mean_input])
     if mechanical:
         stiffness = derived(nonlinearity, covariance, lambda g: 1.0 / float(g.slope(here)[0]))
-        found |= {
+        estimates |= {
             "mass_kg": _product(mass, stiffness, 1.0 / scaling),
             "damping_n_s_per_m": _product(damping, stiffness, 1.0 / scaling),
             "stiffness_n_per_m": stiffness,
         }
     else:
-        found["gain"] = derived(nonlinearity, covariance, lambda g: float(g.slope(here)[0]))
-    return found | {name: stage.parameters[name] for name in ("natural_frequency_rad_per_s", "damping_ratio")}
+        estimates["gain"] = derived(nonlinearity, covariance, lambda g: float(g.slope(here)[0]))
+    return estimates | {name: stage.parameters[name] for name in ("natural_frequency_rad_per_s", "damping_ratio")}
 
 
 def straightness_warning(nonlinearity: StaticNonlinearity, parameters: dict[str, Estimate]) -> list[str]:
@@ -416,12 +416,14 @@ def hunter_korenberg(stage: LinearStage, form: Form, degree: int, passes: int) -
     done = _iterate(stage, form, degree, passes, None)
     if (
         form == "polynomial"
-        and (not done or any(one.feedback for one in done))
+        and (not done or any(iteration.feedback for iteration in done))
         and stage.second_order_kernel_estimate is not None
     ):
         other = _iterate(stage, form, degree, passes, stage.second_order_kernel_estimate)
         done = min(
-            [way for way in (done, other) if way], key=lambda way: min(one.cascade.rss for one in way), default=[]
+            [way for way in (done, other) if way],
+            key=lambda way: min(iteration.cascade.rss for iteration in way),
+            default=[],
         )
     if not done:
         raise UnusableInputError(

@@ -77,17 +77,17 @@ def curve_slopes(curve: StaticNonlinearity, z: Array) -> Array:
     inside = np.clip(z, curve.low, curve.high)
     slopes = np.ascontiguousarray(curve.jacobian(inside).T)
     beyond = np.flatnonzero(inside != z)
-    for place in range(curve.coefficients.size if beyond.size else 0):
-        one = np.zeros(curve.coefficients.size)
-        one[place] = 1.0
-        steepness = curve.with_coefficients(one).slope(inside[beyond])
-        slopes[place, beyond] += steepness * (z[beyond] - inside[beyond])
+    for index in range(curve.coefficients.size if beyond.size else 0):
+        unit = np.zeros(curve.coefficients.size)
+        unit[index] = 1.0
+        steepness = curve.with_coefficients(unit).slope(inside[beyond])
+        slopes[index, beyond] += steepness * (z[beyond] - inside[beyond])
     return slopes
 
 
-def with_zero_at(curve: StaticNonlinearity, place: float) -> StaticNonlinearity:
-    """Return the curve with a constant subtracted so that its value at ``place`` is zero."""
-    return with_offset(curve, -float(curve(np.array([place]))[0]))
+def with_zero_at(curve: StaticNonlinearity, argument: float) -> StaticNonlinearity:
+    """Return the curve with a constant subtracted so that its value at ``argument`` is zero."""
+    return with_offset(curve, -float(curve(np.array([argument]))[0]))
 
 
 def with_offset(curve: StaticNonlinearity, by: float) -> StaticNonlinearity:
@@ -192,13 +192,13 @@ class LagBank:
 
     def rows(self, driven: Array) -> Array:
         """Return each basis function convolved with a signal (n,), shape (q, n), not to be changed."""
-        known = next((pair for pair in self._last if np.array_equal(pair[0], driven)), None)
-        if known is None:
+        cached = next((pair for pair in self._last if np.array_equal(pair[0], driven)), None)
+        if cached is None:
             spectrum = fft.rfft(driven, self._length)
-            found = fft.irfft(self._spectra * spectrum, self._length, overwrite_x=True)[:, : self._n]
-            known = driven.copy(), np.asarray(found, dtype=np.float64)
-        self._last = [known, *(pair for pair in self._last if pair is not known)][:2]
-        return known[1]
+            convolved = fft.irfft(self._spectra * spectrum, self._length, overwrite_x=True)[:, : self._n]
+            cached = driven.copy(), np.asarray(convolved, dtype=np.float64)
+        self._last = [cached, *(pair for pair in self._last if pair is not cached)][:2]
+        return cached[1]
 
     def apply(self, weights: Array, signals: Array) -> Array:
         """Return signals, shape (..., n), convolved with the kernel of the weights (q,); the same shape."""
@@ -263,18 +263,18 @@ class Blocks:
 
     def with_vector(self, vector: Array) -> Blocks:
         """Return the same structure with other parameters, shape (p,) as :attr:`vector`."""
-        place = 1
+        start = 1
         inner, outer, second = self.inner, self.outer, self.second
         if inner is not None:
-            inner = inner.with_coefficients(vector[place : place + inner.coefficients.size])
-            place += inner.coefficients.size
-        first = vector[place : place + self.first.size]
-        place += first.size
+            inner = inner.with_coefficients(vector[start : start + inner.coefficients.size])
+            start += inner.coefficients.size
+        first = vector[start : start + self.first.size]
+        start += first.size
         if outer is not None:
-            outer = outer.with_coefficients(vector[place : place + outer.coefficients.size])
-            place += outer.coefficients.size
+            outer = outer.with_coefficients(vector[start : start + outer.coefficients.size])
+            start += outer.coefficients.size
         if second is not None:
-            second = vector[place:]
+            second = vector[start:]
         return Blocks(inner, first, outer, second, float(vector[0]))
 
     @property

@@ -72,8 +72,8 @@ def rank_one(channels: Array, data: CascadeData, passes: int = 6) -> list[RankOn
     blocks = gram.reshape(p, q, p, q)
     between = _root(np.einsum("ajbj->ab", blocks))  # (p, p)
     along = _root(np.einsum("aiaj->ij", blocks))  # (q, q)
-    left, _, _ = np.linalg.svd(between.T @ free @ along)
-    weights = linalg.solve_triangular(between.T, left[:, 0])
+    left_vectors, _, _ = np.linalg.svd(between.T @ free @ along)
+    weights = linalg.solve_triangular(between.T, left_vectors[:, 0])
     answer = right.reshape(p, q)
     done: list[RankOne] = []
     for _ in range(passes):
@@ -124,9 +124,9 @@ def first_blocks(data: CascadeData) -> list[Array]:
     bank = data.bank
     lags = bank.basis.shape[0]
     linear = bank.basis @ linear_weights(data)
-    found = [bank.nearest(_minimum_phase_power(linear, share)) for share in (0.3, 0.6)]
-    found += [bank.nearest(np.exp(-np.arange(lags) / (share * lags))) for share in (0.02, 0.05, 0.12)]
-    return found + quadratic_weights(data, 1)
+    candidates = [bank.nearest(_minimum_phase_power(linear, share)) for share in (0.3, 0.6)]
+    candidates += [bank.nearest(np.exp(-np.arange(lags) / (share * lags))) for share in (0.02, 0.05, 0.12)]
+    return candidates + quadratic_weights(data, 1)
 
 
 def canonical_weights(data: CascadeData, degree: int) -> Array:
@@ -210,8 +210,8 @@ def refine(blocks: Blocks, data: CascadeData, iterations: int = 40, tolerance: f
     for _ in range(_ROUNDS):
         before = best.rss
         start = problem.point(_with_refitted_outer_curve(best, data).blocks)
-        found = minimise(problem, start, most_steps=iterations, tolerance=tolerance, idle_steps=2).point
-        tried = FittedCascade(found.blocks, found.cost)
+        minimum = minimise(problem, start, most_steps=iterations, tolerance=tolerance, idle_steps=2).point
+        tried = FittedCascade(minimum.blocks, minimum.cost)
         if tried.rss < best.rss:
             best = tried
         if before - best.rss <= 10.0 * tolerance * before or _fits_range(best.blocks, data):
@@ -307,12 +307,12 @@ def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) 
     The passes use a polynomial; for another ``form``, that form is fitted to the polynomial of each pass.
     """
     curves = legendre_columns(data.input - data.rest, degree)
-    found = []
+    systems = []
     for done in rank_one(curves, data, passes):
         inner = fit_curve(form, data.input, done.channels @ curves, degree)
         blocks = _with_fitted_offset(Blocks(inner, done.lags, None, None, 0.0), data)
-        found.append(FittedCascade(blocks, squared_error(blocks, data)))
-    return found
+        systems.append(FittedCascade(blocks, squared_error(blocks, data)))
+    return systems
 
 
 def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> FittedCascade:
@@ -353,21 +353,21 @@ def fit_structures(
         wanted: the structures.
     """
     asked = set(wanted)
-    found: dict[Structure, FittedCascade] = {}
+    fits: dict[Structure, FittedCascade] = {}
     if "linear" in asked:
-        found["linear"] = fit_linear(data)
+        fits["linear"] = fit_linear(data)
     if asked & {"hammerstein", "nln"}:
         passes = hammerstein_passes(data, form, degree, 4)
-        found["hammerstein"] = refine(min(passes, key=lambda done: done.rss).blocks, data)
+        fits["hammerstein"] = refine(min(passes, key=lambda done: done.rss).blocks, data)
     if asked & {"wiener", "lnl", "nln"}:
         starts = [linear_weights(data), *quadratic_weights(data, 2)]
-        found["wiener"] = _best([_wiener_blocks(weights, data, form, degree) for weights in starts], data)
-    simpler = [done.blocks for done in found.values()]
+        fits["wiener"] = _best([_wiener_blocks(weights, data, form, degree) for weights in starts], data)
+    simpler = [done.blocks for done in fits.values()]
     if "lnl" in asked:
-        found["lnl"] = fit_lnl(data, form, degree, simpler)
+        fits["lnl"] = fit_lnl(data, form, degree, simpler)
     if "nln" in asked:
-        found["nln"] = fit_nln(data, form, degree, simpler)
-    return found
+        fits["nln"] = fit_nln(data, form, degree, simpler)
+    return fits
 
 
 def over_whole_range(fitted: FittedCascade, data: CascadeData) -> FittedCascade:
@@ -397,7 +397,7 @@ def refine_until_converged(fitted: FittedCascade, data: CascadeData) -> tuple[Bl
         first = leaner.bank.nearest(data.bank.basis @ blocks.first)
         second = leaner.bank.nearest(data.bank.basis @ blocks.second)
         tried = refine(replace(blocks, first=first, second=second), leaner).blocks
-        best = min(best, (_aicc_of(tried, leaner), tried, leaner), key=lambda one: one[0])
+        best = min(best, (_aicc_of(tried, leaner), tried, leaner), key=lambda candidate: candidate[0])
     return best[1], best[2]
 
 
@@ -446,8 +446,8 @@ def _nln_blocks(data: CascadeData, form: Form, degree: int) -> Blocks:
     low = min(degree, _FIRST_DEGREE)
     weights = canonical_weights(data, low)
     curves = legendre_columns(data.input - data.rest, low)
-    left, sizes, right = np.linalg.svd(weights)
-    inner = fit_curve(form, data.input, left[:, 0] @ curves, degree)
+    left_vectors, sizes, right = np.linalg.svd(weights)
+    inner = fit_curve(form, data.input, left_vectors[:, 0] @ curves, degree)
     lags = sizes[0] * right[0]
     driven = inner(data.input) - inner(np.array([data.rest]))
     lags = _with_unit_output(lags, data, driven)

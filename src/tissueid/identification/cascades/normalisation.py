@@ -116,14 +116,14 @@ def uncertainty(blocks: Blocks, data: CascadeData) -> Uncertainty:
     return Uncertainty(blocks, vectors[:, kept] / size[:, None], covariance)
 
 
-def has_steady_gains(blocks: Blocks, data: CascadeData, known: Uncertainty) -> tuple[bool, bool]:
+def has_steady_gains(blocks: Blocks, data: CascadeData, vector_covariance: Uncertainty) -> tuple[bool, bool]:
     """Return whether the first and the second kernel have a steady-state gain that differs significantly from zero."""
 
     def shares(some: Blocks) -> Array:
         kernels = [data.bank.basis @ weights for weights in (some.first, some.second) if weights is not None]
         return np.array([kernel.sum() / np.linalg.norm(kernel) for kernel in kernels])
 
-    certain = np.abs(shares(blocks)) > _SIGNIFICANT_STD * np.sqrt(np.diag(known.of(shares)))
+    certain = np.abs(shares(blocks)) > _SIGNIFICANT_STD * np.sqrt(np.diag(vector_covariance.of(shares)))
     return bool(certain[0]), bool(certain[-1])
 
 
@@ -186,7 +186,7 @@ FLAT = Message(
 
 
 def parameters_at_rest(
-    normal: Normalised, normalise: Callable[[Blocks], Normalised], known: Uncertainty, small: SecondOrderFit
+    normal: Normalised, normalise: Callable[[Blocks], Normalised], vector_covariance: Uncertainty, small: SecondOrderFit
 ) -> tuple[dict[str, Estimate], list[str]]:
     """Return named estimates at the mean input, and a warning for a curve that is flat there.
 
@@ -200,17 +200,19 @@ def parameters_at_rest(
         plain = {name: Estimate(estimate.value) for name, estimate in parameters.items()}
         return plain, [FLAT]
 
-    log_gain = known.of(lambda some: np.log(np.abs([np.sum(normalise(some).small_signal_kernel())])))
+    log_gain = vector_covariance.of(lambda some: np.log(np.abs([np.sum(normalise(some).small_signal_kernel())])))
     spread = float(np.sqrt(max(0.0, float(log_gain[0, 0]))))
     ratios = {"mass_kg": (1.0, 0.0, -1.0), "damping_n_s_per_m": (0.0, 1.0, -1.0)}
-    found = dict(parameters)
+    estimates = dict(parameters)
     for name in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "gain"):
-        if name not in found:
+        if name not in estimates:
             continue
-        value = found[name].value
+        value = estimates[name].value
         shape = small.estimate(value, ratios[name]) if name in ratios else Estimate(value, 0.0)
-        found[name] = Estimate(value, None if shape.std is None else float(np.hypot(shape.std, abs(value) * spread)))
-    return found, []
+        estimates[name] = Estimate(
+            value, None if shape.std is None else float(np.hypot(shape.std, abs(value) * spread))
+        )
+    return estimates, []
 
 
 def _flat(curve: StaticNonlinearity | None, rest: float) -> bool:

@@ -85,9 +85,9 @@ def _covariance(products: Array, error: Array, data: CascadeData) -> Array:
         return np.asarray(products @ products.T * float(error @ error) / error.size)
     n = data.input.size
     length = fft.next_fast_len(2 * n, real=True)
-    placed, known = np.zeros(n), np.zeros(n)
-    placed[data.rows], known[data.rows] = error, 1.0
-    pairs = fft.irfft(np.abs(fft.rfft(known, length)) ** 2, length)
+    placed, indicator = np.zeros(n), np.zeros(n)
+    placed[data.rows], indicator[data.rows] = error, 1.0
+    pairs = fft.irfft(np.abs(fft.rfft(indicator, length)) ** 2, length)
     together = fft.irfft(np.abs(fft.rfft(placed, length)) ** 2, length)
     lag = np.minimum(np.arange(length), length - np.arange(length))
     weights = np.maximum(0.0, 1.0 - lag / lags)  # Bartlett's, which keep the covariance positive semidefinite
@@ -200,7 +200,7 @@ class StructureChoice:
     @property
     def chosen(self) -> StructureCandidate:
         """The scores of the chosen structure."""
-        return next(one for one in self.candidates if one.structure == self.structure)
+        return next(candidate for candidate in self.candidates if candidate.structure == self.structure)
 
     @property
     def confident(self) -> bool:
@@ -208,7 +208,7 @@ class StructureChoice:
         return self.determined and self.complete
 
 
-def choose(found: Mapping[Structure, FittedCascade], data: CascadeData) -> StructureChoice:
+def choose(fits: Mapping[Structure, FittedCascade], data: CascadeData) -> StructureChoice:
     """Choose a structure by cross-validation.
 
     Args:
@@ -216,7 +216,7 @@ def choose(found: Mapping[Structure, FittedCascade], data: CascadeData) -> Struc
         data: the record.
     """
     folds = np.array_split(np.arange(data.rows.size), _FOLDS)
-    refitted = {structure: _refitted(fitted, data, folds) for structure, fitted in found.items()}
+    refitted = {structure: _refitted(fitted, data, folds) for structure, fitted in fits.items()}
     errors = {structure: _held_out_errors(parts, data, folds) for structure, parts in refitted.items()}
     variance = float(np.var(data.measured))
     sizes = {structure: float(np.mean(error**2)) for structure, error in errors.items()}
@@ -228,28 +228,34 @@ def choose(found: Mapping[Structure, FittedCascade], data: CascadeData) -> Struc
             continue
         lost = errors[structure] ** 2 - errors[best] ** 2
         behind, share = _lead_in_standard_errors(lost, rate), float(np.mean(lost)) / variance
-        error = data.measured - run(found[structure].blocks, data).output[data.rows]
-        one = StructureCandidate(
+        error = data.measured - run(fits[structure].blocks, data).output[data.rows]
+        candidate = StructureCandidate(
             structure=structure,
             vaf_held_out_percent=100.0 * (1.0 - sizes[structure] / variance),
-            aicc=aicc(error, found[structure].blocks.n_parameters),
+            aicc=aicc(error, fits[structure].blocks.n_parameters),
             behind=behind,
             lost_percent=100.0 * share,
             alike=share < _RELEVANT_SHARE
             or (behind < _SIGNIFICANT_STD and sizes[structure] < _REJECTED_RATIO * sizes[best]),
         )
-        if one.alike:
-            left = remainder_test(found[structure].blocks, data)
-            one = replace(one, unexplained_percent=100.0 * left.share, unexplained_p_value=left.p_value)
-        candidates.append(one)
-    alike = [one for one in candidates if one.alike and one.complete]
-    simplest = [one for one in alike if not any(other.structure in SPECIAL_CASES[one.structure] for other in alike)]
-    leading = next(one for one in candidates if one.structure == best)
-    chosen = max(simplest, key=lambda one: one.vaf_held_out_percent, default=leading)
+        if candidate.alike:
+            remainder = remainder_test(fits[structure].blocks, data)
+            candidate = replace(
+                candidate, unexplained_percent=100.0 * remainder.share, unexplained_p_value=remainder.p_value
+            )
+        candidates.append(candidate)
+    alike = [candidate for candidate in candidates if candidate.alike and candidate.complete]
+    simplest = [
+        candidate
+        for candidate in alike
+        if not any(other.structure in SPECIAL_CASES[candidate.structure] for other in alike)
+    ]
+    leading = next(candidate for candidate in candidates if candidate.structure == best)
+    chosen = max(simplest, key=lambda candidate: candidate.vaf_held_out_percent, default=leading)
     return StructureChoice(
         structure=chosen.structure,
         candidates=tuple(candidates),
-        alike=tuple(one.structure for one in alike),
+        alike=tuple(candidate.structure for candidate in alike),
         determined=len(simplest) == 1
         and chosen.vaf_held_out_percent > _LEAST_PERCENT
         and not _special_cases_not_beaten(chosen, candidates),
@@ -259,11 +265,11 @@ def choose(found: Mapping[Structure, FittedCascade], data: CascadeData) -> Struc
 
 def _special_cases_not_beaten(chosen: StructureCandidate, candidates: Iterable[StructureCandidate]) -> list[Structure]:
     """Return the special cases of a structure that it does not beat both in cross-validation and by AICc."""
-    simpler = [one for one in candidates if one.structure in SPECIAL_CASES[chosen.structure]]
+    simpler = [candidate for candidate in candidates if candidate.structure in SPECIAL_CASES[chosen.structure]]
     return [
-        one.structure
-        for one in simpler
-        if one.aicc <= chosen.aicc or one.vaf_held_out_percent >= chosen.vaf_held_out_percent
+        candidate.structure
+        for candidate in simpler
+        if candidate.aicc <= chosen.aicc or candidate.vaf_held_out_percent >= chosen.vaf_held_out_percent
     ]
 
 
@@ -290,8 +296,12 @@ def structure_findings(choice: StructureChoice) -> tuple[str, ...]:
             ),
         )
     if not choice.determined:
-        level = [NAMES[one] for one in choice.alike if not any(other in SPECIAL_CASES[one] for other in choice.alike)]
-        simpler = [NAMES[one] for one in _special_cases_not_beaten(chosen, choice.candidates)]
+        level = [
+            NAMES[structure]
+            for structure in choice.alike
+            if not any(other in SPECIAL_CASES[structure] for other in choice.alike)
+        ]
+        simpler = [NAMES[structure] for structure in _special_cases_not_beaten(chosen, choice.candidates)]
         return (
             Message(
                 "cascade.undetermined",
@@ -300,7 +310,7 @@ def structure_findings(choice: StructureChoice) -> tuple[str, ...]:
                 percent=chosen.vaf_held_out_percent,
             ),
         )
-    rivals = [one for one in choice.candidates if one.structure not in choice.alike]
+    rivals = [candidate for candidate in choice.candidates if candidate.structure not in choice.alike]
     if not rivals:
         return (
             Message(
@@ -309,7 +319,7 @@ def structure_findings(choice: StructureChoice) -> tuple[str, ...]:
                 **values,
             ),
         )
-    near = max(rivals, key=lambda one: one.vaf_held_out_percent)
+    near = max(rivals, key=lambda candidate: candidate.vaf_held_out_percent)
     return (
         Message(
             "cascade.determined",

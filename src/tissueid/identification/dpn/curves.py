@@ -177,8 +177,8 @@ class LogCurves:
         """Return the derivatives of F at positions (k,) with respect to the coefficients, shape (k, p)."""
         slopes = np.zeros((position.size, self.theta.size))
         table = self.slopes()
-        for place in np.flatnonzero(self.owner == FORCE):
-            slopes[:, place] = np.interp(position, self.grid, table[:, place])
+        for column in np.flatnonzero(self.owner == FORCE):
+            slopes[:, column] = np.interp(position, self.grid, table[:, column])
         return slopes
 
     def _integrated(self, values: Array) -> Array:

@@ -126,9 +126,9 @@ class EstimatedCurves:
         (3, k, p).
         """
         slopes = np.zeros((3, position.size, self.curves.theta.size))
-        for place, name in enumerate(("mass", "damping", "stiffness")):
+        for row, name in enumerate(("mass", "damping", "stiffness")):
             series = getattr(self.curves, name)
-            slopes[place][:, self.curves.places[name]] = self.curves.basis(position, series.size)
+            slopes[row][:, self.curves.places[name]] = self.curves.basis(position, series.size)
         return slopes
 
     def central(self) -> tuple[float, float]:
@@ -358,8 +358,8 @@ def minimise(
     start = problem.point(curves, starts)
     if start is None:
         return None
-    found = levenberg_marquardt.minimise(problem, start, most_steps=_ITERATIONS, tolerance=tolerance, damping=1e-4)
-    return FittedDpn(found.point.curves, found.point.starts, found.point.evaluation, found.converged)
+    minimum = levenberg_marquardt.minimise(problem, start, most_steps=_ITERATIONS, tolerance=tolerance, damping=1e-4)
+    return FittedDpn(minimum.point.curves, minimum.point.starts, minimum.point.evaluation, minimum.converged)
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,11 +387,11 @@ class _SimulationError(levenberg_marquardt.Problem[_Point]):
 
     def point(self, curves: LogCurves, starts: list[Array]) -> _Point | None:
         """Evaluate curves and starting values; None where the simulation diverges."""
-        found = self._data.evaluate(curves, starts)
-        if found is None:
+        evaluation = self._data.evaluate(curves, starts)
+        if evaluation is None:
             return None
-        weights = prior_weights(curves, found.rss, found.error.size)
-        return _Point(curves, starts, found, found.rss + float(weights @ (curves.theta - self._centre) ** 2))
+        weights = prior_weights(curves, evaluation.rss, evaluation.error.size)
+        return _Point(curves, starts, evaluation, evaluation.rss + float(weights @ (curves.theta - self._centre) ** 2))
 
     def linearised(self, at: _Point) -> tuple[Array, Array]:
         slopes = at.evaluation.slopes

@@ -51,98 +51,102 @@ _COMMON_TOLERANCE = 0.2
 UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
 
 
-def dpn_parameters(known: EstimatedCurves, surface: float | None, mechanical: bool) -> dict[str, Estimate]:
+def dpn_parameters(estimated: EstimatedCurves, surface: float | None, mechanical: bool) -> dict[str, Estimate]:
     """Return the named estimates at the median position.
 
     Mass, damping and stiffness there, their growth with depth (1/m), natural frequency and damping ratio; with a known
     surface also the stiffness of Eq. 3.33. For signals other than N and m, a gain instead of the three.
     """
-    middle = float(np.median(known.position))
+    middle = float(np.median(estimated.position))
     here = np.array([middle])
-    curves = known.curves
-    mass, damping, stiffness = known.mass(here), known.damping(here), known.stiffness(here)
-    found: dict[str, Estimate] = {}
+    curves = estimated.curves
+    mass, damping, stiffness = estimated.mass(here), estimated.damping(here), estimated.stiffness(here)
+    estimates: dict[str, Estimate] = {}
     if mechanical:
         for name, band in (("mass_kg", mass), ("damping_n_s_per_m", damping), ("stiffness_n_per_m", stiffness)):
-            found[name] = estimate(float(band.value[0]), float(band.std[0]))
+            estimates[name] = estimate(float(band.value[0]), float(band.std[0]))
         if surface is not None:
-            secant = known.secant(here, surface)
-            found["secant_stiffness_n_per_m"] = estimate(float(secant.value[0]), float(secant.std[0]))
-        found["position_m"] = Estimate(middle)
+            secant = estimated.secant(here, surface)
+            estimates["secant_stiffness_n_per_m"] = estimate(float(secant.value[0]), float(secant.std[0]))
+        estimates["position_m"] = Estimate(middle)
         for name in ("mass", "damping", "stiffness"):
-            found[f"{name}_growth_per_m"] = known.growth(name, middle)
+            estimates[f"{name}_growth_per_m"] = estimated.growth(name, middle)
         if curves.direction.size:
-            found["damping_in_n_s_per_m"], found["damping_out_n_s_per_m"] = (
+            estimates["damping_in_n_s_per_m"], estimates["damping_out_n_s_per_m"] = (
                 estimate(float(band.value[0]), float(band.std[0]))
-                for band in (known.damping(here, 1), known.damping(here, -1))
+                for band in (estimated.damping(here, 1), estimated.damping(here, -1))
             )
     else:
-        found["gain"] = estimate(1.0 / float(stiffness.value[0]), float(stiffness.std[0] / stiffness.value[0] ** 2))
+        estimates["gain"] = estimate(1.0 / float(stiffness.value[0]), float(stiffness.std[0] / stiffness.value[0] ** 2))
     m, b, k = float(mass.value[0]), float(damping.value[0]), float(stiffness.value[0])
     frequency = math.sqrt(k / m)
     ratio = b / (2.0 * math.sqrt(k * m))
-    found["natural_frequency_rad_per_s"] = estimate(frequency, frequency * known.combined_std(middle, (-0.5, 0.0, 0.5)))
-    found["damping_ratio"] = estimate(ratio, ratio * known.combined_std(middle, (-0.5, 1.0, -0.5)))
+    estimates["natural_frequency_rad_per_s"] = estimate(
+        frequency, frequency * estimated.combined_std(middle, (-0.5, 0.0, 0.5))
+    )
+    estimates["damping_ratio"] = estimate(ratio, ratio * estimated.combined_std(middle, (-0.5, 1.0, -0.5)))
     if curves.inertia.size:
-        place = curves.places["inertia"].start
-        found["inertia_share"] = estimate(float(curves.inertia[0]), math.sqrt(float(known.covariance[place, place])))
-    return found
+        index = curves.places["inertia"].start
+        estimates["inertia_share"] = estimate(
+            float(curves.inertia[0]), math.sqrt(float(estimated.covariance[index, index]))
+        )
+    return estimates
 
 
-def settling_samples(known: EstimatedCurves, sample_rate_hz: float) -> int:
+def settling_samples(estimated: EstimatedCurves, sample_rate_hz: float) -> int:
     """Return the samples after which the initial state has decayed, from the mean decay rate over the visited
     positions.
     """
-    mass = known.curves.masses(known.position)
-    decay = known.curves.dampings(known.position) / (2.0 * mass)
-    squared = known.curves.stiffnesses(known.position) / mass - decay**2
+    mass = estimated.curves.masses(estimated.position)
+    decay = estimated.curves.dampings(estimated.position) / (2.0 * mass)
+    squared = estimated.curves.stiffnesses(estimated.position) / mass - decay**2
     slowest = decay - np.sqrt(np.maximum(0.0, -squared))  # 1/s, of the slower of two poles where there are two
     return math.ceil(_SETTLING * sample_rate_hz / max(float(np.mean(slowest)), 1e-3))
 
 
-def findings(known: EstimatedCurves, gains: dict[str, tuple[float, float]]) -> list[str]:
+def findings(estimated: EstimatedCurves, gains: dict[str, tuple[float, float]]) -> list[str]:
     """Return how mass, damping and stiffness change with depth, and which optional terms would reduce the error.
 
     Args:
         known: the curves.
         gains: score statistic and explained share of the squared error of terms outside the model.
     """
-    low, high = known.central()
-    middle = float(np.median(known.position))
+    low, high = estimated.central()
+    middle = float(np.median(estimated.position))
     ends = np.array([low, high])
-    found: list[str] = []
-    changes, covariance = known.changes(low, high)
+    messages: list[str] = []
+    changes, covariance = estimated.changes(low, high)
     significant = np.abs(changes) > _SIGNIFICANT_STD * np.sqrt(
         np.diag(covariance)
     )  # False where the covariance is unknown
     for name, change, stands_out in zip(UNITS, changes, significant, strict=True):
-        found.append(_change(known, name, change if stands_out else 0.0, ends, middle))
+        messages.append(_change(estimated, name, change if stands_out else 0.0, ends, middle))
     if significant.all() and _common(changes, covariance):
-        found.append(
+        messages.append(
             Message(
                 "dpn.common_factor",
                 "mass, damping and stiffness change by one common factor: a Wiener system would show the same",
             )
         )
-    if known.curves.direction.size:
+    if estimated.curves.direction.size:
         here = np.array([middle])
-        factor = float(known.damping(here, 1).value[0] / known.damping(here, -1).value[0])
-        found.append(
+        factor = float(estimated.damping(here, 1).value[0] / estimated.damping(here, -1).value[0])
+        messages.append(
             Message(
                 "dpn.direction", "damping in inward motion is {factor:.2f} times that in outward motion", factor=factor
             )
         )
-    if known.curves.inertia.size:
-        found.append(
+    if estimated.curves.inertia.size:
+        messages.append(
             Message(
                 "dpn.inertia",
                 "a share of {share:.2f} of M'(y) y'^2 acts as a force: none in Eq. 3.33, all of it in a Wiener system",
-                share=float(known.curves.inertia[0]),
+                share=float(estimated.curves.inertia[0]),
             )
         )
     for name, (statistic, explained) in gains.items():
         if statistic > _SIGNIFICANT_STD**2 and explained > _EXPLAINED:
-            found.append(
+            messages.append(
                 Message(
                     "dpn.term_would_help",
                     "{term} would reduce the squared error by {percent:.0f} %",
@@ -150,7 +154,7 @@ def findings(known: EstimatedCurves, gains: dict[str, tuple[float, float]]) -> l
                     percent=100.0 * explained,
                 )
             )
-    return found
+    return messages
 
 
 _NAMES = {"mass": marked("mass"), "damping": marked("damping"), "stiffness": marked("stiffness")}
@@ -160,9 +164,9 @@ _TERMS = {
 }
 
 
-def _change(known: EstimatedCurves, name: str, change: float, ends: Array, middle: float) -> Message:
+def _change(estimated: EstimatedCurves, name: str, change: float, ends: Array, middle: float) -> Message:
     """Return how one parameter changes between two depths (2,), m; ``change`` is 0 where it is not significant."""
-    first, last = getattr(known, name)(ends).value
+    first, last = getattr(estimated, name)(ends).value
     unit, scale = display_unit(UNITS[name])
     values = {
         "name": _NAMES[name],
@@ -180,7 +184,7 @@ def _change(known: EstimatedCurves, name: str, change: float, ends: Array, middl
         return Message(
             "depth.falls", "{name} falls from {start} to {end} {unit} from {low:.2f} to {high:.2f} mm", **values
         )
-    growth = known.growth(name, middle)
+    growth = estimated.growth(name, middle)
     if growth.std is not None and abs(growth.value) > _SIGNIFICANT_STD * growth.std:
         values = {
             "name": _NAMES[name],
@@ -212,15 +216,15 @@ def _change(known: EstimatedCurves, name: str, change: float, ends: Array, middl
     )
 
 
-def curve_warnings(known: EstimatedCurves) -> list[str]:
+def curve_warnings(estimated: EstimatedCurves) -> list[str]:
     """Return warnings about the curves."""
-    if not np.all(np.isfinite(known.covariance)):
+    if not np.all(np.isfinite(estimated.covariance)):
         return [
             Message("dpn.not_converged", "the fit did not converge: mass, damping and stiffness have no uncertainty")
         ]
-    middle = float(np.median(known.position))
+    middle = float(np.median(estimated.position))
     here = np.array([middle])
-    bands = {"mass": known.mass(here), "damping": known.damping(here), "stiffness": known.stiffness(here)}
+    bands = {"mass": estimated.mass(here), "damping": estimated.damping(here), "stiffness": estimated.stiffness(here)}
     unknown = tuple(_NAMES[name] for name, band in bands.items() if band.std[0] > _LARGEST_RELATIVE_STD * band.value[0])
     if not unknown:
         return []
@@ -278,8 +282,8 @@ def score_gains(data: DpnData, fitted: FittedDpn, steps: dict[str, int]) -> dict
     every = np.concatenate(list(new.values()))
     own = there.slopes[:, every] - q @ (q.T @ there.slopes[:, every])  # (m, all that are new)
     # The covariance uses the errors without what all new terms explain, which is not noise.
-    left = there.error_projected - own @ np.linalg.lstsq(own, there.error_projected, rcond=1e-8)[0]
-    covariance = long_run_covariance(own * left[:, None], dependence_samples(left, data.rate))
+    unexplained = there.error_projected - own @ np.linalg.lstsq(own, there.error_projected, rcond=1e-8)[0]
+    covariance = long_run_covariance(own * unexplained[:, None], dependence_samples(unexplained, data.rate))
     total, gram = own.T @ there.error_projected, own.T @ own
     gains = {}
     first = 0
@@ -330,10 +334,10 @@ def select_degrees(
                 fitted, growing = better, True
                 break
     fitted = _without_insignificant_degrees(data, fitted, free, start)
-    found = {name: _degree(fitted, name) for name in free}
+    selected = {name: _degree(fitted, name) for name in free}
     shapes = {"mass", "damping", "stiffness"} & set(free)
-    wanted = {name: min(most, found[name] + spare) for name in SERIES if name in shapes and found[name] < most}
-    return _refitted(data, fitted, wanted, start, TOLERANCE) or fitted, found
+    wanted = {name: min(most, selected[name] + spare) for name in SERIES if name in shapes and selected[name] < most}
+    return _refitted(data, fitted, wanted, start, TOLERANCE) or fitted, selected
 
 
 def _without_insignificant_degrees(
@@ -344,9 +348,9 @@ def _without_insignificant_degrees(
         covariance = coefficient_covariance(data, fitted)
         weakest: tuple[float, dict[str, int]] | None = None
         for name in free:
-            place = fitted.curves.places[name]
-            last = place.stop - 1
-            if place.stop - place.start > _FEWEST[name] and np.isfinite(covariance[last, last]):
+            columns = fitted.curves.places[name]
+            last = columns.stop - 1
+            if columns.stop - columns.start > _FEWEST[name] and np.isfinite(covariance[last, last]):
                 statistic = float(fitted.curves.theta[last] ** 2 / covariance[last, last])
                 if statistic < _SCORE_THRESHOLDS[0] and (weakest is None or statistic < weakest[0]):
                     weakest = statistic, {name: _degree(fitted, name) - 1}

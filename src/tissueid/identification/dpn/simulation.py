@@ -101,9 +101,9 @@ def free_run(
                 if stage > 0:
                     at += reach[stage] * velocity[stage - 1]
                     moving += reach[stage] * rate[stage - 1]
-                place = (at - low) / spacing
-                cell = int(min(max(place, 0.0), rows - 2.0))
-                share = place - cell
+                coordinate = (at - low) / spacing
+                cell = int(min(max(coordinate, 0.0), rows - 2.0))
+                share = coordinate - cell
                 held = min(max(share, 0.0), 1.0)
                 by_depth = held == share
                 more_mass = curves[cell + 1, MASS] - curves[cell, MASS]
@@ -252,14 +252,14 @@ class Curves:
 
     def rest(self, force: float) -> float:
         """Return the equilibrium position, m, under a steady force, N."""
-        place = self.position
-        last = place.size - 1
+        position = self.position
+        last = position.size - 1
         if force < self.force[0]:
-            return float(place[0] + (force - self.force[0]) * self.spacing / (self.force[1] - self.force[0]))
+            return float(position[0] + (force - self.force[0]) * self.spacing / (self.force[1] - self.force[0]))
         if force > self.force[last]:
             rise = self.force[last] - self.force[last - 1]
-            return float(place[last] + (force - self.force[last]) * self.spacing / rise)
-        return float(np.interp(force, self.force, place))
+            return float(position[last] + (force - self.force[last]) * self.spacing / rise)
+        return float(np.interp(force, self.force, position))
 
     def steps(self, sample_rate_hz: float) -> int:
         """Return the Runge-Kutta steps per sample; above :data:`MOST_STEPS` for curves too stiff to integrate."""

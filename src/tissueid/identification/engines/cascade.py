@@ -142,8 +142,8 @@ class Cascade(MemoryEngine):
                 )
         data = cascade_data(prepared, lags, spacing).first(_MOST_ROWS)
         compared = data.first(_MOST_ROWS_COMPARED)
-        found = fit_structures(compared, self.nonlinearity, self.degree, wanted)
-        choice = choose(found, compared) if self.structure == "auto" else None
+        fits = fit_structures(compared, self.nonlinearity, self.degree, wanted)
+        choice = choose(fits, compared) if self.structure == "auto" else None
         if data.rows.size < int(used.sum()):
             warnings.append(
                 Message(
@@ -161,25 +161,27 @@ class Cascade(MemoryEngine):
                 )
             )
         structure = wanted[0] if choice is None else choice.structure
-        blocks, data = refine_until_converged(over_whole_range(found[structure], data), data)
-        known = uncertainty(blocks, data)
-        gains = has_steady_gains(blocks, data, known)
+        blocks, data = refine_until_converged(over_whole_range(fits[structure], data), data)
+        vector_covariance = uncertainty(blocks, data)
+        gains = has_steady_gains(blocks, data, vector_covariance)
         normal = normalise_gains(blocks, data, gains)
-        first_std, second_std = _kernel_stds(known, data, gains)
+        first_std, second_std = _kernel_stds(vector_covariance, data, gains)
 
         modelled = normal.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
         residuals = np.where(used, record.output - modelled, np.nan)
         small = fit_linearised(normal, record, used, residuals, self.hold)
-        parameters, flat = parameters_at_rest(normal, lambda some: normalise_gains(some, data, gains), known, small)
+        parameters, flat = parameters_at_rest(
+            normal, lambda some: normalise_gains(some, data, gains), vector_covariance, small
+        )
         warnings += flat or small.warnings
         for kernel in (normal.first, normal.second):
             warnings += [] if kernel is None else memory_warnings(kernel)
         details = {"kernel_functions": float(data.bank.size), "input_edge_hz": data.edge_hz}
         if choice is not None:
             warnings += structure_warnings(choice)
-            for one in choice.candidates:
-                details[f"vaf_held_out_{one.structure}_percent"] = one.vaf_held_out_percent
-                details[f"aicc_{one.structure}"] = one.aicc
+            for candidate in choice.candidates:
+                details[f"vaf_held_out_{candidate.structure}_percent"] = candidate.vaf_held_out_percent
+                details[f"aicc_{candidate.structure}"] = candidate.aicc
             details["unexplained_percent"] = choice.chosen.unexplained_percent or 0.0
         rate = record.sample_rate_hz
         return CascadeModel(
@@ -223,13 +225,15 @@ def _largest(wanted: tuple[Structure, ...], basis: int, curve: int) -> int:
     return max(counts[structure] for structure in wanted)
 
 
-def _kernel_stds(known: Uncertainty, data: CascadeData, gains: tuple[bool, bool]) -> tuple[Array, Array | None]:
+def _kernel_stds(
+    vector_covariance: Uncertainty, data: CascadeData, gains: tuple[bool, bool]
+) -> tuple[Array, Array | None]:
     """Return the standard deviations (lags,) of the reported kernels."""
 
     def kernels(some: Blocks) -> Array:
         shape = normalise_gains(some, data, gains)
         return shape.first if shape.second is None else np.concatenate([shape.first, shape.second])
 
-    std = np.sqrt(np.maximum(np.diag(known.of(kernels)), 0.0))
+    std = np.sqrt(np.maximum(np.diag(vector_covariance.of(kernels)), 0.0))
     lags = data.bank.basis.shape[0]
     return std[:lags], std[lags:] if std.size > lags else None

@@ -190,15 +190,17 @@ class Dpn(Engine):
             raise UnusableInputError(
                 "dpn.diverged_at_once", "not even constant mass, damping and stiffness can be simulated: use lms"
             )
-        fitted, found = selected
-        known = EstimatedCurves(
+        fitted, selected_degrees = selected
+        estimated = EstimatedCurves(
             fitted.curves,
             coefficient_covariance(data, fitted),
             record.output[data.samples],
             data.speeds(fitted),
         )
         gains = score_gains(data, fitted, {name: 1 for name in off if name != "inertia" or fitted.curves.mass.size > 1})
-        model = self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
+        model = self._model(
+            prepared, fitted, selected_degrees, estimated, {name: gain for (name, _), gain in gains.items()}
+        )
         return model.with_report(warnings=(*model.report.warnings, *late))
 
     def _series(self) -> tuple[dict[str, int], list[str], list[str]]:
@@ -215,16 +217,16 @@ class Dpn(Engine):
         self,
         prepared: PreparedRecord,
         fitted: FittedDpn,
-        found: dict[str, int],
-        known: EstimatedCurves,
+        degrees: dict[str, int],
+        estimated: EstimatedCurves,
         gains: dict[str, tuple[float, float]],
     ) -> DpnModel:
         record = prepared.record
         rate = record.sample_rate_hz
         mechanical = (record.input_unit, record.output_unit) == ("N", "m")
-        warnings = [*prepared.warnings, *curve_warnings(known)]
+        warnings = [*prepared.warnings, *curve_warnings(estimated)]
         length = prepared.part.stop - prepared.part.start
-        memory = prepared.memory_samples if self.memory is not None else settling_samples(known, rate)
+        memory = prepared.memory_samples if self.memory is not None else settling_samples(estimated, rate)
         if memory > _LONGEST_SHARE * length:
             warnings.append(
                 Message(
@@ -264,9 +266,9 @@ class Dpn(Engine):
                 used,
                 run.position,
                 p,
-                parameters=dpn_parameters(known, self.surface_position_m, mechanical),
+                parameters=dpn_parameters(estimated, self.surface_position_m, mechanical),
                 warnings=tuple(warnings),
-                findings=tuple(findings(known, gains)) if mechanical else (),
+                findings=tuple(findings(estimated, gains)) if mechanical else (),
                 details={
                     f"{name}_degree": float(getattr(fitted.curves, name).size - 1)
                     for name in ("mass", "damping", "stiffness", "direction", "inertia")
@@ -279,8 +281,8 @@ class Dpn(Engine):
             ),
             sample_rate_hz=rate,
             memory_samples=memory,
-            known=known,
-            degrees=found,
+            known=estimated,
+            degrees=degrees,
             input_mean=prepared.input_mean,
             rest_position=fitted.curves.tables.rest(prepared.input_mean),
             hold=self.hold,

@@ -91,10 +91,10 @@ def curve_messages(
                 "hammerstein.slope",
                 "{percent:.0f} % at {input:.3g} {unit}",
                 percent=100.0 * estimate.value / steepest,
-                input=float(place),
+                input=float(level),
                 unit=unit,
             )
-            for estimate, place in zip(estimates, places, strict=True)
+            for estimate, level in zip(estimates, places, strict=True)
         )
         findings.append(
             Message(
@@ -209,8 +209,8 @@ class Hammerstein(MemoryEngine):
         blocks = passes[chosen].blocks
         if self.refine:
             blocks = refine(blocks, data).blocks
-        known = uncertainty(blocks, data)
-        gains = has_steady_gains(blocks, data, known)
+        vector_covariance = uncertainty(blocks, data)
+        gains = has_steady_gains(blocks, data, vector_covariance)
         normal = normalise_gains(blocks, data, gains)
         nonlinearity = normal.inner
         assert nonlinearity is not None
@@ -229,7 +229,7 @@ class Hammerstein(MemoryEngine):
         stage = fit_driven_stage(record, used, nonlinearity, self.hold)
         parameters = wiener_parameters(
             with_offset(nonlinearity, normal.offset),
-            known.of(static_curve_of),
+            vector_covariance.of(static_curve_of),
             stage,
             prepared.input_mean,
             scaling=1.0,
@@ -237,7 +237,7 @@ class Hammerstein(MemoryEngine):
             c3=0.0,
             mechanical=(record.input_unit, record.output_unit) == ("N", "m"),
         )
-        covariance = known.of(curve_of)
+        covariance = vector_covariance.of(curve_of)
         x = record.input[prepared.part]
         findings, doubts = curve_messages(
             nonlinearity, covariance, x[np.isfinite(x)], prepared.input_mean, record.input_unit
@@ -266,7 +266,7 @@ class Hammerstein(MemoryEngine):
             memory_samples=lags,
             kernel=normal.first,
             kernel_std=np.sqrt(
-                np.maximum(np.diag(known.of(lambda some: normalise_gains(some, data, gains).first)), 0.0)
+                np.maximum(np.diag(vector_covariance.of(lambda some: normalise_gains(some, data, gains).first)), 0.0)
             ),
             lag_s=np.arange(lags) / rate,
             input_mean=prepared.input_mean,

@@ -69,23 +69,23 @@ class LocalizedModel(Model):
 
     def depth_profile(self) -> DepthProfile:
         """Return one row per level, in the order of position; ``direction`` is that of the step to the level."""
-        found = sorted(self.levels, key=lambda one: one.position)
-        local = level_parameters(found)
+        ordered = sorted(self.levels, key=lambda level_fit: level_fit.position)
+        local = level_parameters(ordered)
         values = np.exp(local.log_parameters) * self.sign
         std = np.abs(values) * np.sqrt(np.einsum("kim,kim->ki", local.root, local.root))
-        std[~np.isfinite([np.ravel(_log_covariance(one)) for one in found]).all(axis=1)] = np.nan
+        std[~np.isfinite([np.ravel(_log_covariance(level_fit)) for level_fit in ordered]).all(axis=1)] = np.nan
         return DepthProfile(
             position=local.position,
-            low=np.array([one.low for one in found]),
-            high=np.array([one.high for one in found]),
-            direction=np.array([one.level.direction for one in found], dtype=np.int_),
+            low=np.array([level_fit.low for level_fit in ordered]),
+            high=np.array([level_fit.high for level_fit in ordered]),
+            direction=np.array([level_fit.level.direction for level_fit in ordered], dtype=np.int_),
             mass=values[:, 0],
             mass_std=std[:, 0],
             damping=values[:, 1],
             damping_std=std[:, 1],
             stiffness=values[:, 2],
             stiffness_std=std[:, 2],
-            support=np.array([one.samples for one in found], dtype=np.int_),
+            support=np.array([level_fit.samples for level_fit in ordered], dtype=np.int_),
         )
 
 
@@ -99,7 +99,7 @@ def fit_levels(
     Raises:
         UnusableInputError: fewer than two levels are long enough.
     """
-    found = []
+    fits = []
     start: SecondOrderFit | None = None
     for level in levels:
         mask = used[level.first : level.end].copy()
@@ -113,7 +113,7 @@ def fit_levels(
         if float(np.ptp(output)) == 0.0 or float(np.ptp(part.input[mask])) == 0.0:
             continue
         start = fit_second_order(part, mask, hold, start=start)
-        found.append(
+        fits.append(
             LevelFit(
                 level=level,
                 fit=start,
@@ -124,32 +124,32 @@ def fit_levels(
                 samples=int(mask.sum()),
             )
         )
-    if len(found) < 2:
+    if len(fits) < 2:
         raise UnusableInputError(
             "localized.too_few_levels",
             "{found} of {levels} levels are longer than two memories and vary enough: stay longer at each level, "
             "or shorten the memory",
-            found=len(found),
+            found=len(fits),
             levels=len(levels),
         )
-    return tuple(found), len(levels) - len(found)
+    return tuple(fits), len(levels) - len(fits)
 
 
-def level_parameters(found: list[LevelFit]) -> LocalParameters:
+def level_parameters(fits: list[LevelFit]) -> LocalParameters:
     """Return the parameters of all levels, each with its covariance, which is zero if unknown."""
-    root = np.zeros((len(found), 3, 3 * len(found)))
-    logs = np.empty((len(found), 3))
-    for row, one in enumerate(found):
-        system = one.fit.system
+    root = np.zeros((len(fits), 3, 3 * len(fits)))
+    logs = np.empty((len(fits), 3))
+    for row, level_fit in enumerate(fits):
+        system = level_fit.fit.system
         logs[row] = np.log([system.mass, system.damping, system.stiffness])
-        covariance = _log_covariance(one)
+        covariance = _log_covariance(level_fit)
         if np.all(np.isfinite(covariance)):
             values, vectors = np.linalg.eigh(covariance)
             root[row, :, 3 * row : 3 * row + 3] = vectors * np.sqrt(np.maximum(values, 0.0))
-    return LocalParameters(np.array([one.position for one in found]), logs, root, found[0].fit.sign)
+    return LocalParameters(np.array([level_fit.position for level_fit in fits]), logs, root, fits[0].fit.sign)
 
 
-def curves_through(found: tuple[LevelFit, ...]) -> Curves:
+def curves_through(fits: tuple[LevelFit, ...]) -> Curves:
     """Return curves with the mass and damping of the levels and a force through their mean forces.
 
     Levels at one depth are averaged, weighted by their samples. If the mean forces do not increase with depth, due to
@@ -158,17 +158,17 @@ def curves_through(found: tuple[LevelFit, ...]) -> Curves:
     Raises:
         UnusableInputError: all levels are at one depth.
     """
-    ordered = sorted(found, key=lambda one: one.position)
+    ordered = sorted(fits, key=lambda level_fit: level_fit.position)
     span = ordered[-1].position - ordered[0].position
     groups: list[list[LevelFit]] = []
-    for one in ordered:
-        if groups and one.position - groups[-1][0].position <= _SAME_DEPTH * span:
-            groups[-1].append(one)
+    for level_fit in ordered:
+        if groups and level_fit.position - groups[-1][0].position <= _SAME_DEPTH * span:
+            groups[-1].append(level_fit)
         else:
-            groups.append([one])
+            groups.append([level_fit])
     if len(groups) < 2:
         raise UnusableInputError("localized.one_depth", "all levels are at one depth: use larger steps of force")
-    sign = found[0].fit.sign
+    sign = fits[0].fit.sign
     position, force, *logs = (np.array([_mean_of(group, index) for group in groups]) for index in range(5))
     force = sign * force
     mass, damping, stiffness = np.exp(logs)
@@ -182,14 +182,18 @@ def curves_through(found: tuple[LevelFit, ...]) -> Curves:
 def _mean_of(group: list[LevelFit], index: int) -> float:
     """Return the weighted mean of position, force, log M, log B or log K (``index`` 0 to 4) over levels."""
     values = [
-        (one.position, one.force, *np.log([one.fit.system.mass, one.fit.system.damping, one.fit.system.stiffness]))
-        for one in group
+        (
+            level_fit.position,
+            level_fit.force,
+            *np.log([level_fit.fit.system.mass, level_fit.fit.system.damping, level_fit.fit.system.stiffness]),
+        )
+        for level_fit in group
     ]
-    return float(np.average([value[index] for value in values], weights=[one.samples for one in group]))
+    return float(np.average([value[index] for value in values], weights=[level_fit.samples for level_fit in group]))
 
 
-def _log_covariance(one: LevelFit) -> Array:
-    return np.full((3, 3), np.nan) if one.fit.log_covariance is None else one.fit.log_covariance
+def _log_covariance(level_fit: LevelFit) -> Array:
+    return np.full((3, 3), np.nan) if level_fit.fit.log_covariance is None else level_fit.fit.log_covariance
 
 
 _EACH = 4
@@ -238,39 +242,39 @@ class Localized(MemoryEngine):
         memory_samples = prepared.memory_samples
         levels = find_levels(record.input, prepared.used, memory_samples, self.levels, record.joints)
         settle_samples = round(self.settle * record.sample_rate_hz)
-        found, short = fit_levels(record, prepared.used, levels, memory_samples, settle_samples, self.hold)
-        curves = curves_through(found)
+        fits, short = fit_levels(record, prepared.used, levels, memory_samples, settle_samples, self.hold)
+        curves = curves_through(fits)
         model = LocalizedModel(
-            report=self.unscored(sum(level.samples for level in found), _EACH * len(found)),
+            report=self.unscored(sum(level.samples for level in fits), _EACH * len(fits)),
             sample_rate_hz=record.sample_rate_hz,
             memory_samples=memory_samples,
-            levels=found,
+            levels=fits,
             curves=curves,
             input_mean=prepared.input_mean,
-            sign=found[0].fit.sign,
+            sign=fits[0].fit.sign,
             hold=self.hold,
         )
         used = prepared.used
-        ordered = sorted(found, key=lambda one: one.position)
-        middle = float(np.median([one.position for one in ordered]))
+        ordered = sorted(fits, key=lambda level_fit: level_fit.position)
+        middle = float(np.median([level_fit.position for level_fit in ordered]))
         linear = fit_second_order(record, used, self.hold)
         parameters: dict[str, Estimate] = linear.parameters
         if linear.mechanical:
             parameters = means_and_slopes(level_parameters(ordered), middle)
-        warnings = [*prepared.warnings, *_warnings(found, short)]
+        warnings = [*prepared.warnings, *_warnings(fits, short)]
         return model.with_fit_scores(record, used).with_report(
             parameters=parameters,
             warnings=tuple(warnings),
             findings=_findings(ordered),
             details={
-                "levels": float(len(found)),
-                "vaf_within_levels_median_percent": float(np.median([one.fit.vaf_percent for one in found])),
-                "vaf_within_levels_least_percent": float(min(one.fit.vaf_percent for one in found)),
+                "levels": float(len(fits)),
+                "vaf_within_levels_median_percent": float(np.median([level_fit.fit.vaf_percent for level_fit in fits])),
+                "vaf_within_levels_least_percent": float(min(level_fit.fit.vaf_percent for level_fit in fits)),
             },
         )
 
 
-def _warnings(found: tuple[LevelFit, ...], short: int) -> list[str]:
+def _warnings(fits: tuple[LevelFit, ...], short: int) -> list[str]:
     doubts: list[str] = []
     if short:
         doubts.append(
@@ -280,15 +284,15 @@ def _warnings(found: tuple[LevelFit, ...], short: int) -> list[str]:
                 count=short,
             )
         )
-    for word in dict.fromkeys(warning for one in found for warning in one.fit.warnings):
-        count = sum(word in one.fit.warnings for one in found)
+    for word in dict.fromkeys(warning for level_fit in fits for warning in level_fit.fit.warnings):
+        count = sum(word in level_fit.fit.warnings for level_fit in fits)
         doubts.append(
             Message(
                 "localized.at_levels",
                 "{warning} (at {count} of {levels} levels)",
                 warning=word,
                 count=count,
-                levels=len(found),
+                levels=len(fits),
             )
         )
     return doubts
@@ -296,8 +300,8 @@ def _warnings(found: tuple[LevelFit, ...], short: int) -> list[str]:
 
 def _findings(ordered: list[LevelFit]) -> tuple[str, ...]:
     first, last = ordered[0], ordered[-1]
-    ways = [one.level.direction for one in ordered]
-    found: list[str] = [
+    ways = [level_fit.level.direction for level_fit in ordered]
+    messages: list[str] = [
         Message(
             "localized.levels",
             "{levels} levels from {low:.2f} to {high:.2f} mm: {pushing} reached by increasing force, {pulling} by "
@@ -311,7 +315,7 @@ def _findings(ordered: list[LevelFit]) -> tuple[str, ...]:
         )
     ]
     if first.fit.mechanical:
-        found.append(
+        messages.append(
             Message(
                 "localized.stiffness",
                 "stiffness is {start} N/m at the lowest level and {end} N/m at the highest",
@@ -319,4 +323,4 @@ def _findings(ordered: list[LevelFit]) -> tuple[str, ...]:
                 end=number(last.fit.system.stiffness, 3),
             )
         )
-    return tuple(found)
+    return tuple(messages)

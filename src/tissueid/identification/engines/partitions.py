@@ -181,8 +181,8 @@ def _grid(engine: PartitionEngine, first: PreparedRecord) -> tuple[LagGrid, tupl
 
 def _usable(prepared: PreparedRecord, cells: Cells, grid: LagGrid, n_parameters: int, at_output: bool) -> Mask:
     """Return the mask (n,) of the rows: prepared samples whose cell is known, along the lags throughout the memory."""
-    known = cells != UNKNOWN
-    used = prepared.used & (known if at_output else complete_windows(known, grid.memory_samples))
+    in_cell = cells != UNKNOWN
+    used = prepared.used & (in_cell if at_output else complete_windows(in_cell, grid.memory_samples))
     if int(used.sum()) < n_parameters:
         raise UnusableInputError(
             "partitions.too_few_samples",
@@ -286,8 +286,8 @@ def _local(
     record = prepared.record
     if solved.at_output:
         x = np.where(part_mask(len(record), prepared.part), record.input - prepared.input_mean, np.nan)
-        found = local_parameters(solved, partitions, record.output[used], assigned[used], x, grid, linear)
-        return LocalEstimates(found, solved)
+        local = local_parameters(solved, partitions, record.output[used], assigned[used], x, grid, linear)
+        return LocalEstimates(local, solved)
     depth_only = replace(partitions, directional=False)
     estimator = DepthEstimator(
         prepared=prepared,

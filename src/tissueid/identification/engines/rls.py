@@ -85,10 +85,10 @@ def _advance_recursion(triangle: Array, work: Array, scalars: Array, u: Array, y
         errors[n] = nan
         if scalars[_RECEIVED] < taps or not isfinite(y[n]):
             continue
-        known = 0.0
+        predicted = 0.0
         for k in range(taps + 1):
-            known += coefficients[k] * x[k]
-        errors[n] = y[n] - known  # Eq. 6.2
+            predicted += coefficients[k] * x[k]
+        errors[n] = y[n] - predicted  # Eq. 6.2
         _multiply(triangle, work, scalars)
         _learn(triangle, work, scalars, errors[n])
         scalars[_UPDATES] += 1.0
@@ -162,10 +162,10 @@ def _learn(triangle: Array, work: Array, scalars: Array, error: float) -> None:
     if forgetting == 1.0:
         return
     turn = int(scalars[_UPDATES]) % count
-    place = turn  # index in the triangle: down column ``turn`` to the diagonal, then along its row
+    index = turn  # in the triangle: down column ``turn`` to the diagonal, then along its row
     for k in range(count):
-        ridge[k] = triangle[place] / forgetting - scalars[_WEIGHT] * pending[k] * pending[turn]
-        place += count - 1 - k if k < turn else 1
+        ridge[k] = triangle[index] / forgetting - scalars[_WEIGHT] * pending[k] * pending[turn]
+        index += count - 1 - k if k < turn else 1
     returned = scalars[_RIDGE] * count * (1.0 - forgetting)
     scalars[_RIDGE_WEIGHT] = 1.0 / (1.0 / returned + ridge[turn])
     away = coefficients[turn] * scalars[_RIDGE_WEIGHT]
@@ -324,12 +324,12 @@ class Rls(OnlineEngine):
             remembered = round(_RETAINED_TIME_CONSTANTS / (1.0 - forgetting))
             begin = max(begin, part.stop - max(remembered, 4 * identifier.lags))
         recent = slice(begin, part.stop)
-        known = int(np.isfinite(residuals[recent]).sum())
+        count = int(np.isfinite(residuals[recent]).sum())
         about = x[recent] - np.nanmean(
             x[recent]
         )  # during a test the operating point may differ from the mean; the offset compensates
         std = kernel_std(covariance * weight, about, residuals[recent])
-        return std * float(np.sqrt(known * weight_squares) / weight)
+        return std * float(np.sqrt(count * weight_squares) / weight)
 
     def _warnings(self, identifier: RlsIdentifier, covariance: Array) -> tuple[list[str], tuple[str, ...]]:
         """Return a warning if the memory exceeds the retained samples, and a finding on directions that are not

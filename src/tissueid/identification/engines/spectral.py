@@ -127,16 +127,16 @@ class Spectral(MemoryEngine):
         Raises:
             UnusableInputError: the memory has too many samples.
         """
-        known = super().for_record(record, fit_part)
-        if known.window is not None:
-            return known
+        specification = super().for_record(record, fit_part)
+        if specification.window is not None:
+            return specification
         rate = record.sample_rate_hz
         typical = typical_samples(_WINDOW_S, rate)
         if typical == round(_WINDOW_S * rate):
-            return known.model_copy(update={"window": max(_WINDOW_S, known.memory_s)})
+            return specification.model_copy(update={"window": max(_WINDOW_S, specification.memory_s)})
         length = part_length(record, fit_part)
-        samples = max(memory_in_samples(known.memory_s, rate), min(typical, length // _SEGMENTS))
-        return known.model_copy(update={"window": samples / rate})
+        samples = max(memory_in_samples(specification.memory_s, rate), min(typical, length // _SEGMENTS))
+        return specification.model_copy(update={"window": samples / rate})
 
     def fit(self, record: Record, fit_part: slice | None = None) -> SpectralModel:
         """Estimate the spectra of a record, or of a contiguous part of it.
@@ -213,14 +213,14 @@ class Spectral(MemoryEngine):
         xx = np.mean(np.abs(x) ** 2, axis=0)
         yy = np.mean(np.abs(y) ** 2, axis=0)
         xy = np.mean(np.conj(x) * y, axis=0)
-        known = np.abs(xy) > 0.0
+        nonzero = np.abs(xy) > 0.0
         coherence = np.zeros(xx.size)
-        coherence[known] = np.minimum(1.0, np.abs(xy[known]) ** 2 / (xx[known] * yy[known]))
+        coherence[nonzero] = np.minimum(1.0, np.abs(xy[nonzero]) ** 2 / (xx[nonzero] * yy[nonzero]))
         response = np.zeros(xx.size, dtype=np.complex128)
-        response[known] = xy[known] / xx[known]
+        response[nonzero] = xy[nonzero] / xx[nonzero]
         averages = independent_averages(starts, taper)
         relative = np.full(xx.size, np.inf)
-        relative[known] = np.sqrt((1.0 - coherence[known]) / (2.0 * averages * coherence[known]))
+        relative[nonzero] = np.sqrt((1.0 - coherence[nonzero]) / (2.0 * averages * coherence[nonzero]))
         density = np.full(xx.size, 2.0 / (record.sample_rate_hz * float(taper @ taper)))
         density[0] *= 0.5
         if length % 2 == 0:
@@ -231,7 +231,7 @@ class Spectral(MemoryEngine):
             output_psd=yy * density,
             coherence=coherence,
             response=response,
-            magnitude_std=np.where(known, np.abs(response), 1.0) * relative,
+            magnitude_std=np.where(nonzero, np.abs(response), 1.0) * relative,
             phase_std_rad=relative,
             averages=averages,
         )

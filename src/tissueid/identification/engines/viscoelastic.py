@@ -90,15 +90,15 @@ class ViscoelasticModel(Model):
         Otherwise the run starts from the steady state of the mean input. Creep in that state is left out.
         """
         u = np.asarray(u, dtype=np.float64)
-        known = np.isfinite(u)
-        if not known.any():
+        received = np.isfinite(u)
+        if not received.any():
             return np.full(u.size, np.nan)
-        bridged = np.interp(np.arange(u.size), np.flatnonzero(known), u[known])  # a jump would act before the gap
+        bridged = np.interp(np.arange(u.size), np.flatnonzero(received), u[received])  # a jump would act before the gap
         start = _held_start(bridged, self.sample_rate_hz)
         start = self.input_mean if start is None else start
         run = self.system.simulate(bridged - start, self.sample_rate_hz, self.hold)
         run += self.system.static_compliance * (start - self.input_mean)
-        complete = complete_after_rest(known, self.settling_samples)
+        complete = complete_after_rest(received, self.settling_samples)
         return np.where(complete, self.output_mean + self.sign * run, np.nan)
 
 
@@ -120,14 +120,14 @@ def _held_runs(record: Record, used: Mask) -> list[InputRun]:
     if not all(is_slow(record.input[first:end]) for first, end in whole):
         return []
     runs, _y = input_runs(record, used, 0.0, 0.0)
-    found = []
+    held_runs = []
     for run in runs:
         size = run.local.stop if isinstance(run.local, slice) else int(run.local[-1]) + 1
         values = fft.irfft(run.spectrum, run.length)[:size]
         length = fft.next_fast_len(2 * size, real=True)
         start = _held_start(values, record.sample_rate_hz) or 0.0
-        found.append(replace(run, spectrum=fft.rfft(values - start, length), length=length))
-    return found
+        held_runs.append(replace(run, spectrum=fft.rfft(values - start, length), length=length))
+    return held_runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +160,8 @@ class _Problem(ErrorProblem):
         for run in self.runs:
             h, slopes = system.sampled(fft.rfftfreq(run.length, 1.0 / self.rate), self.rate, self.hold)
             here = rows[:, run.place]
-            for row, one in enumerate((h, *slopes)):
-                here[row] = fft.irfft(one * run.spectrum, run.length)[run.local]
+            for row, transfer in enumerate((h, *slopes)):
+                here[row] = fft.irfft(transfer * run.spectrum, run.length)[run.local]
             here[0] = self.y[run.place] - here[0]
             t = run.time_s
             free = [np.ones(t.size)]
@@ -213,17 +213,17 @@ def _starts(structure: Structure, linear: SecondOrderFit, damping: float) -> lis
     m, b, k = linear.system.mass, linear.system.damping, linear.system.stiffness
     if structure == "kelvin-voigt":
         return [(m, b, k)]
-    found: list[tuple[float, ...]] = []
+    starts: list[tuple[float, ...]] = []
     for time in _START_TIMES_S:
         if structure == "maxwell":
-            found.append((m, damping * b, k, k * time))
+            starts.append((m, damping * b, k, k * time))
             continue
         for share in _START_SHARES:
             if structure == "standard-linear-solid":
-                found.append((m, damping * b, k, share * k, share * k * time))
+                starts.append((m, damping * b, k, share * k, share * k * time))
             else:
-                found.append((m, damping * b, k, 100.0 * k * time, share * k, share * k * time))
-    return found
+                starts.append((m, damping * b, k, 100.0 * k * time, share * k, share * k * time))
+    return starts
 
 
 def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
@@ -327,10 +327,10 @@ class ViscoelasticEngine(Engine):
 
     def common(self, details: Sequence[Mapping[str, float]]) -> Self:
         """Return the specification with the structure whose mean AICc over tests is lowest, chosen as for one test."""
-        known = [one for one in details if all(_criterion_name(name) in one for name in STRUCTURES)]
-        if self.structure != "auto" or not known:
+        complete = [detail for detail in details if all(_criterion_name(name) in detail for name in STRUCTURES)]
+        if self.structure != "auto" or not complete:
             return self
-        scores = {name: float(np.mean([one[_criterion_name(name)] for one in known])) for name in STRUCTURES}
+        scores = {name: float(np.mean([detail[_criterion_name(name)] for detail in complete])) for name in STRUCTURES}
         return self.model_copy(update={"structure": _smallest(scores)})
 
     def fit(self, record: Record, fit_part: slice | None = None) -> ViscoelasticModel:
@@ -350,7 +350,8 @@ class ViscoelasticEngine(Engine):
         tried = STRUCTURES if self.structure == "auto" else (self.structure,)
         held = _held_runs(record, used)
         fits = [
-            _fit(_Problem(one, held or runs, linear.sign * y, rate, self.hold, bool(held)), linear) for one in tried
+            _fit(_Problem(structure, held or runs, linear.sign * y, rate, self.hold, bool(held)), linear)
+            for structure in tried
         ]
         samples = independent_samples(min(fits, key=lambda fit: float(fit.error @ fit.error)).error)
         scores = {fit.system.structure: fit.criterion(samples) for fit in fits}
@@ -400,16 +401,16 @@ def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
         if best.covariance is None:
             return Estimate(number)
         variance = float(slopes[there] @ best.covariance[np.ix_(there, there)] @ slopes[there])
-        known = math.isfinite(variance) and 0.0 <= variance < _UNDETERMINED**2
-        return Estimate(number, abs(number) * math.sqrt(variance) if known else None)
+        determined = math.isfinite(variance) and 0.0 <= variance < _UNDETERMINED**2
+        return Estimate(number, abs(number) * math.sqrt(variance) if determined else None)
 
     if not best.damped:
         del value["damping_n_s_per_m"]
-    found = {name: estimate(linear.sign * number, **{name: 1.0}) for name, number in value.items()}
-    if not best.damped and found["mass_kg"].std is None:  # a ramp and hold has no inertia
-        del found["mass_kg"]
+    estimates = {name: estimate(linear.sign * number, **{name: 1.0}) for name, number in value.items()}
+    if not best.damped and estimates["mass_kg"].std is None:  # a ramp and hold has no inertia
+        del estimates["mass_kg"]
     if not linear.mechanical:
-        found = {}
+        estimates = {}
     times = {
         "relaxation_time_s": ("spring_1_n_per_m", "damper_1_n_s_per_m"),
         "retardation_time_s": ("spring_2_n_per_m", "damper_2_n_s_per_m"),
@@ -418,12 +419,12 @@ def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
         times = {"retardation_time_s": ("stiffness_n_per_m", "damping_n_s_per_m")}
     for label, (spring, damper) in times.items():
         if spring in value:
-            found[label] = estimate(value[damper] / value[spring], **{damper: 1.0, spring: -1.0})
-    return found
+            estimates[label] = estimate(value[damper] / value[spring], **{damper: 1.0, spring: -1.0})
+    return estimates
 
 
 def _warnings(parameters: dict[str, Estimate]) -> tuple[str, ...]:
-    unknown = [name for name, found in parameters.items() if found.std is None]
+    unknown = [name for name, estimate in parameters.items() if estimate.std is None]
     if not unknown:
         return ()
     return (

@@ -168,9 +168,9 @@ class Volterra(MemoryEngine):
         Raises:
             UnusableInputError: as :meth:`fit`.
         """
-        known = self.for_record(record, fit_part)
-        grid, prepared, _ = known._prepared(record, fit_part)
-        return known._factored(record.input - prepared.input_mean, prepared, grid)
+        specification = self.for_record(record, fit_part)
+        grid, prepared, _ = specification._prepared(record, fit_part)
+        return specification._factored(record.input - prepared.input_mean, prepared, grid)
 
     def _prepared(self, record: Record, fit_part: slice | None) -> tuple[LagGrid, PreparedRecord, tuple[str, ...]]:
         """Return the lags, the record prepared for the number of samples that they need, and warnings."""

@@ -229,7 +229,7 @@ class Wiener(MemoryEngine):
         cascade = passes[chosen].cascade
         if self.refine:
             refined = cut_to_memory(longer, stage, refine(longer, estimated[chosen].cascade))
-            cascade = min(refined, cascade, key=lambda one: one.rss)
+            cascade = min(refined, cascade, key=lambda tried: tried.rss)
         warnings = [*prepared.warnings, *solved.warnings, *self._warnings(passes, chosen, cascade)]
 
         used = prepared.used
@@ -279,7 +279,7 @@ class Wiener(MemoryEngine):
     def _warnings(self, passes: list[Pass], chosen: int, cascade: WienerCascade) -> list[str]:
         """Return warnings about the iteration and the nonlinearity."""
         doubts: list[str] = []
-        turned = any(one.feedback for one in passes)
+        turned = any(done.feedback for done in passes)
         if len(passes) < self.iterations and not turned:
             doubts.append(
                 Message(
@@ -335,19 +335,19 @@ class Wiener(MemoryEngine):
         history: list[WienerIteration] = []
         for number, done in enumerate(passes, start=1):
             system = systems.nearest(done.cascade.kernel, final)
-            found = {
+            parameters = {
                 "scaled_mass_s2": self.scaling * system.mass / system.stiffness,
                 "scaled_damping_s": self.scaling * system.damping / system.stiffness,
             }
             if isinstance(done.cascade.nonlinearity, ExponentialCurve):
                 constants = done.cascade.nonlinearity.thesis_constants(self.surface_position_m, self.c3_n or 0.0)
-                found |= zip(("c1", "c2", "c3", "offset"), constants, strict=True)
+                parameters |= zip(("c1", "c2", "c3", "offset"), constants, strict=True)
             history.append(
                 WienerIteration(
                     iteration=number,
                     linear_vaf_percent=done.linear_vaf_percent,
                     nonlinear_vaf_percent=done.nonlinear_vaf_percent,
-                    parameters=found,
+                    parameters=parameters,
                 )
             )
         return tuple(history)

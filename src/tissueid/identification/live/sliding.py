@@ -260,12 +260,12 @@ class SlidingLms:
         new = slice(self._end, self._end + u.size)
         self._received[:, new] = u, y
         origin = []
-        for row, values, known in zip(self._counted, (u, y), self._origin, strict=True):
+        for row, values, baseline in zip(self._counted, (u, y), self._origin, strict=True):
             received = np.isfinite(values)
-            if known is None and received.any():
-                known = float(values[received][0])
-            origin.append(known)
-            row[new] = np.where(received, values - (known or 0.0), 0.0)
+            if baseline is None and received.any():
+                baseline = float(values[received][0])
+            origin.append(baseline)
+            row[new] = np.where(received, values - (baseline or 0.0), 0.0)
         self._origin = (origin[0], origin[1])
         self._first = self._slide(self._first, self._end, u.size)
         self._end += u.size

@@ -103,14 +103,14 @@ class StopRule(BaseModel):
     look_every_s: float = Field(0.25, ge=0.05, le=5.0, description="Record from one look to the next, s")
 
     @classmethod
-    def from_words(cls, words: Iterable[str]) -> Self:
+    def from_words(cls, texts: Iterable[str]) -> Self:
         """Return the rule for targets as on a command line, such as ``stiffness=0.02``.
 
         Raises:
             UnusableInputError: not a name and a share, an unknown parameter, or a share out of bounds.
         """
         targets: dict[str, float] = {}
-        for word in words:
+        for word in texts:
             name, equals, share = word.partition("=")
             name = name.strip()
             if not equals or name not in PARAMETERS:

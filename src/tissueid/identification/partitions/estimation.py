@@ -383,10 +383,10 @@ class DepthEstimator:
         if not seen.local.known.all():
             return replace(seen, warnings=(_UNCORRECTED,))
         tissue = FittedTissue.through(seen.local, self.prepared, self.partitions, self.linear.hold, seen.rest)
-        found = fit_contrast(tissue, seen.local.log_parameters, self.used)
-        seen = replace(seen, contrast=found)
-        search = None if found is None else _Search.with_sensitivities(self, seen, tissue)
-        local = None if search is None or found is None else search.solve(found)
+        contrast = fit_contrast(tissue, seen.local.log_parameters, self.used)
+        seen = replace(seen, contrast=contrast)
+        search = None if contrast is None else _Search.with_sensitivities(self, seen, tissue)
+        local = None if search is None or contrast is None else search.solve(contrast)
         return replace(seen, warnings=(_UNCORRECTED,)) if local is None else replace(seen, local=local)
 
 
@@ -416,8 +416,8 @@ class _Search:
             if moved is None:
                 return None
             columns.append(np.ravel(lines.pick @ (moved - back)) / _PROBE)
-        left, gains, right = np.linalg.svd(np.array(columns).T)
-        return replace(search, inverse=(right.T / np.maximum(gains, _LEAST_GAIN)) @ left.T)
+        left_vectors, gains, right = np.linalg.svd(np.array(columns).T)
+        return replace(search, inverse=(right.T / np.maximum(gains, _LEAST_GAIN)) @ left_vectors.T)
 
     def solve(self, contrast: Contrast) -> LocalParameters | None:
         """Return the parameters of a tissue with this contrast between directions; None on failure."""
@@ -437,10 +437,10 @@ class _Search:
         root = self.seen.local.root
         across = np.einsum("lk,kim->lim", lines.pick, root)  # (lines, 3, m)
         widened = (self.inverse @ across.reshape(self.inverse.shape[0], -1)).reshape(across.shape)
-        found = lines.smooth(sought) + wanted - back
+        log_parameters = lines.smooth(sought) + wanted - back
         root = root + np.einsum("kl,lim->kim", lines.basis, widened - across)
         widening = min(float(np.hypot(1.0, contrast.misfit / _MISFIT)), _MOST_WIDENING)
-        return replace(self.seen.local, log_parameters=found, root=widening * root)
+        return replace(self.seen.local, log_parameters=log_parameters, root=widening * root)
 
     def _re_estimated(self, values: Array, contrast: Contrast) -> Array | None:
         """Return the estimates for a tissue with these logarithms (K, 3); None if they are not available."""

@@ -66,16 +66,16 @@ def named_parameters(
     """Return mass, damping and stiffness at a position, m, and their slopes; a gain for other signals."""
     if not linear.mechanical:
         return linear.parameters
-    found = means_and_slopes(local.local, position)
+    estimates = means_and_slopes(local.local, position)
     if local.contrast is not None:
         for way, word in ((1, "in"), (-1, "out")):
             there = means_and_slopes(by_direction(local, way), position)
             for name, unit in (("damping", "n_s_per_m"), ("stiffness", "n_per_m")):
-                found[f"{name}_{word}_{unit}"] = there.get(f"{name}_{unit}", Estimate(math.nan))
+                estimates[f"{name}_{word}_{unit}"] = there.get(f"{name}_{unit}", Estimate(math.nan))
     if not local.certain:
-        found = {name: Estimate(estimate.value) for name, estimate in found.items()}
-    missing = {name: linear.parameters[name] for name in _SHARES if name not in found}
-    return found | missing
+        estimates = {name: Estimate(estimate.value) for name, estimate in estimates.items()}
+    missing = {name: linear.parameters[name] for name in _SHARES if name not in estimates}
+    return estimates | missing
 
 
 def details_of(
@@ -102,9 +102,9 @@ def details_of(
 
 def fit_warnings(vaf: float, details: dict[str, float], local: LocalEstimates, few: bool) -> tuple[str, ...]:
     """Return warnings on the fit."""
-    found = list(local.warnings)
+    messages = list(local.warnings)
     if few:
-        found.append(
+        messages.append(
             Message(
                 "partitions.few_samples",
                 "fewer than {fewest} usable samples for each parameter: record longer, or take fewer partitions",
@@ -113,7 +113,7 @@ def fit_warnings(vaf: float, details: dict[str, float], local: LocalEstimates, f
         )
     lost = details["vaf_scheduled_fitted_percent"] - vaf
     if lost > _LARGE_LOSS_POINTS:
-        found.append(
+        messages.append(
             Message(
                 "partitions.needs_measured_depth",
                 "in free run the model loses {points:.1f} points of VAF: the score with the measured output as the "
@@ -123,7 +123,7 @@ def fit_warnings(vaf: float, details: dict[str, float], local: LocalEstimates, f
         )
     missing = int(np.count_nonzero(~local.local.known))
     if missing:
-        found.append(
+        messages.append(
             Message(
                 "partitions.not_second_order",
                 "{missing} of {kernels} kernels are not those of a second-order system",
@@ -131,7 +131,7 @@ def fit_warnings(vaf: float, details: dict[str, float], local: LocalEstimates, f
                 kernels=int(local.local.known.size),
             )
         )
-    return tuple(found)
+    return tuple(messages)
 
 
 def findings(local: LocalEstimates, partitions: Partitions, linear: SecondOrderFit) -> tuple[str, ...]:
@@ -141,9 +141,12 @@ def findings(local: LocalEstimates, partitions: Partitions, linear: SecondOrderF
     """
     if not linear.mechanical or np.count_nonzero(local.local.known) < 2 or not local.certain:
         return ()
-    known = np.flatnonzero(local.local.known)
-    first, last = known[np.argmin(local.local.position[known])], known[np.argmax(local.local.position[known])]
-    found: list[str] = []
+    determined = np.flatnonzero(local.local.known)
+    first, last = (
+        determined[np.argmin(local.local.position[determined])],
+        determined[np.argmax(local.local.position[determined])],
+    )
+    messages: list[str] = []
     for index, name, unit in (
         (2, marked("stiffness"), "N/m"),
         (1, marked("damping"), "N·s/m"),
@@ -152,40 +155,40 @@ def findings(local: LocalEstimates, partitions: Partitions, linear: SecondOrderF
         values = np.exp(local.local.log_parameters[:, index]) * (1e3 if unit == "g" else 1.0)
         change = float(np.log(values[last] / values[first]))
         spread = float(np.linalg.norm(local.local.root[last, index] - local.local.root[first, index]))
-        place = {"low": 1e3 * local.local.position[first], "high": 1e3 * local.local.position[last]}
+        depths = {"low": 1e3 * local.local.position[first], "high": 1e3 * local.local.position[last]}
         ends = {"start": number(values[first], 3), "end": number(values[last], 3), "unit": unit}
         if abs(change) <= _SIGNIFICANT * spread:
-            found.append(
+            messages.append(
                 Message(
                     "depth.constant",
                     "{name} does not change beyond its uncertainty from {low:.2f} to {high:.2f} mm",
                     name=name,
-                    **place,
+                    **depths,
                 )
             )
         elif change > 0.0:
-            found.append(
+            messages.append(
                 Message(
                     "depth.rises",
                     "{name} rises from {start} to {end} {unit} from {low:.2f} to {high:.2f} mm",
                     name=name,
                     **ends,
-                    **place,
+                    **depths,
                 )
             )
         else:
-            found.append(
+            messages.append(
                 Message(
                     "depth.falls",
                     "{name} falls from {start} to {end} {unit} from {low:.2f} to {high:.2f} mm",
                     name=name,
                     **ends,
-                    **place,
+                    **depths,
                 )
             )
     if local.contrast is not None:
-        found += [_direction_finding(local.contrast, kind) for kind in (1, 0)]
-    return tuple(found)
+        messages += [_direction_finding(local.contrast, kind) for kind in (1, 0)]
+    return tuple(messages)
 
 
 def _direction_finding(contrast: Contrast, kind: int) -> Message:
@@ -241,8 +244,8 @@ def scheduled_run(x: Array, cells: Cells, kernels: Array, offsets: Array, spacin
         now = cells[n + warm]
         total = offsets[now]
         for lag in range(lags):
-            place = n + warm - lag * spacing
-            total += kernels[now if at_output else cells[place], lag] * x[place]
+            sample = n + warm - lag * spacing
+            total += kernels[now if at_output else cells[sample], lag] * x[sample]
         output[n] = total
     return output
 
@@ -293,8 +296,8 @@ def free_run(
         past = 0.0
         if not at_output:
             for lag in range(1, lags):
-                place = n + warm - lag * spacing
-                past += kernels[cells[place], lag] * x[place]
+                sample = n + warm - lag * spacing
+                past += kernels[cells[sample], lag] * x[sample]
         best, least, best_seen = -1, np.inf, 0.0
         for cell in range(count):
             value = offsets[cell] + past + kernels[cell, 0] * x[n + warm]
@@ -395,10 +398,10 @@ class PartitionedModel(Model):
         """
         self.check_rate(record)
         cells = self.partitions.cells(record.output)
-        known = np.isfinite(record.input) & (cells != UNKNOWN)
+        usable = np.isfinite(record.input) & (cells != UNKNOWN)
         rest = self.window - 1
-        x = np.concatenate([np.full(rest, self.input_mean), np.where(known, record.input, self.input_mean)])
-        placed = np.concatenate([np.full(rest, self.rest_cell), np.where(known, cells, self.rest_cell)])
+        x = np.concatenate([np.full(rest, self.input_mean), np.where(usable, record.input, self.input_mean)])
+        placed = np.concatenate([np.full(rest, self.rest_cell), np.where(usable, cells, self.rest_cell)])
         output = scheduled_run(
             x - self.reference,
             placed.astype(np.int64),
@@ -407,7 +410,7 @@ class PartitionedModel(Model):
             self.lag_spacing,
             self.at_output,
         )
-        output[~complete_after_rest(known, self.window)] = np.nan
+        output[~complete_after_rest(usable, self.window)] = np.nan
         return output  # type: ignore[no-any-return]  # compiled
 
     def depth_profile(self) -> DepthProfile | None:

@@ -103,15 +103,15 @@ class _Band:
             return last[1:]
 
         low, high = start - _LARGEST_LOG_DIFFERENCE, start + _LARGEST_LOG_DIFFERENCE
-        found = optimize.least_squares(
+        solution = optimize.least_squares(
             lambda trial: split(response(trial)[0] - target),
             start,
             jac=lambda trial: split(response(trial)[1]).T,
             bounds=(low, high),
         )
-        theta = np.asarray(found.x, dtype=np.float64)
+        theta = np.asarray(solution.x, dtype=np.float64)
         slopes = split(response(theta)[1])  # (3, 2 bins)
-        if not found.success or np.any((theta < low + 0.01) | (theta > high - 0.01)):
+        if not solution.success or np.any((theta < low + 0.01) | (theta > high - 0.01)):
             return None
         gram = slopes @ slopes.T
         if np.linalg.cond(gram) > 1e12:
@@ -160,11 +160,11 @@ def profile(local: LocalParameters, partitions: Partitions, support: NDArray[np.
     """Return the parameters as a depth profile; ``support`` (cells,) is the number of samples in each cell."""
     values = local.sign * np.exp(local.log_parameters)
     std = np.exp(local.log_parameters) * np.sqrt(np.einsum("kim,kim->ki", local.root, local.root))
-    place = np.arange(partitions.count) % partitions.depths
+    depth = np.arange(partitions.count) % partitions.depths
     return DepthProfile(
         position=local.position,
-        low=partitions.breakpoints[place],
-        high=partitions.breakpoints[place + 1],
+        low=partitions.breakpoints[depth],
+        high=partitions.breakpoints[depth + 1],
         direction=partitions.direction,
         mass=values[:, 0],
         mass_std=std[:, 0],
@@ -182,30 +182,30 @@ def means_and_slopes(local: LocalParameters, position: float) -> dict[str, Estim
     They are read from weighted curves through the logarithms of the cells: parabolas for five or more cells, lines for
     three or four. Scatter of the cells beyond their standard deviations widens the result's.
     """
-    known = local.known
-    found: dict[str, Estimate] = {}
-    count = int(known.sum())
+    determined = local.known
+    estimates: dict[str, Estimate] = {}
+    count = int(determined.sum())
     if count == 0:
-        return found
-    distance = local.position[known] - position
+        return estimates
+    distance = local.position[determined] - position
     size = float(np.max(np.abs(distance))) or 1.0
     degree = 2 if count >= _PARABOLA else int(count >= _LINE)
     powers = np.vander(distance / size, degree + 1, increasing=True)
     for index, (name, slope_name) in enumerate(_NAMES):
-        root = local.root[known, index]
+        root = local.root[determined, index]
         weight = 1.0 / np.sqrt(np.einsum("km,km->k", root, root) + _SCATTER**2)
         pick = np.linalg.pinv(powers * weight[:, None]) * weight
-        coefficients = pick @ local.log_parameters[known, index]
-        left = local.log_parameters[known, index] - powers @ coefficients
+        coefficients = pick @ local.log_parameters[determined, index]
+        residual = local.log_parameters[determined, index] - powers @ coefficients
         spare = max(1, count - degree - 1)
-        scatter = float(np.sum((weight * left) ** 2) / np.sum(weight**2)) * count / spare
+        scatter = float(np.sum((weight * residual) ** 2) / np.sum(weight**2)) * count / spare
         std = np.sqrt(np.sum((pick @ root) ** 2, axis=1) + scatter * np.sum(pick**2, axis=1))
         value = local.sign * math.exp(float(coefficients[0]))
-        found[name] = Estimate(value, abs(value) * float(std[0]))
+        estimates[name] = Estimate(value, abs(value) * float(std[0]))
         if degree:
             slope = value * float(coefficients[1]) / size
-            found[slope_name] = Estimate(slope, math.hypot(value * float(std[1]) / size, slope * float(std[0])))
-    return found
+            estimates[slope_name] = Estimate(slope, math.hypot(value * float(std[1]) / size, slope * float(std[0])))
+    return estimates
 
 
 def _band(x: Array, grid: LagGrid, linear: SecondOrderFit) -> _Band:
@@ -235,14 +235,14 @@ def _linearised(
     direct: LocalParameters, partitions: Partitions, solved: PartitionedKernels, band: _Band
 ) -> LocalParameters:
     """Return the response of the fitted model to small inputs at rest at each depth, as a second-order system."""
-    known = direct.known
+    determined = direct.known
     slope = _depth_slopes(direct, partitions.direction)  # (cells, cells): slope at each cell from all logarithms
     log_parameters, root = np.full_like(direct.log_parameters, np.nan), np.zeros_like(direct.root)
     offset, offset_root = float(solved.offsets[0]), solved.offset_root[0]
-    filled = np.where(known[:, None], direct.log_parameters, 0.0)
+    filled = np.where(determined[:, None], direct.log_parameters, 0.0)
     turning = slope @ filled  # (cells, 3)
     turning_root = np.einsum("ck,kim->cim", slope, direct.root)
-    for cell in np.flatnonzero(known):
+    for cell in np.flatnonzero(determined):
         own = direct.log_parameters[cell]
         depth = direct.sign * (direct.position[cell] - offset)
 

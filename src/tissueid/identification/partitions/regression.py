@@ -81,11 +81,11 @@ class Partitions:
         A constant output keeps its direction; the first sample after a gap counts as increasing.
         """
         seen = self.filtered(output)
-        known = np.isfinite(seen)
-        place = np.searchsorted(self.breakpoints[1:-1], np.where(known, seen, 0.0), side="right")
-        cells: Cells = np.where(known, place, UNKNOWN).astype(np.int64)
+        received = np.isfinite(seen)
+        depth = np.searchsorted(self.breakpoints[1:-1], np.where(received, seen, 0.0), side="right")
+        cells: Cells = np.where(received, depth, UNKNOWN).astype(np.int64)
         if self.directional:
-            for first, end in finite_runs(known):
+            for first, end in finite_runs(received):
                 cells[first:end] += self.depths * _falling(seen[first:end])
         return cells
 
@@ -251,11 +251,11 @@ def solve_at_output(
         parts.append((regressors, solved))
         thetas.append(theta)
         errors.append(y[mine] - modelled[mine])
-    found = np.array(thetas)  # (cells, 1 + lags)
+    coefficients = np.array(thetas)  # (cells, 1 + lags)
     root = _root(parts, errors, modelled, sample_rate_hz).reshape(count, 1 + grid.lags, -1)
     return PartitionedKernels(
-        kernels=found[:, 1:],
-        offsets=found[:, 0],
+        kernels=coefficients[:, 1:],
+        offsets=coefficients[:, 0],
         reference=reference,
         at_output=True,
         kernel_root=root[:, 1:],
@@ -332,11 +332,11 @@ def _root(
     for (regressors, _), error in zip(parts, errors, strict=True):
         residual[regressors.used] = error
     rows = np.isfinite(residual)
-    known = residual[rows]
-    block = max(_SHORTEST_BLOCK, dependence_samples(known, sample_rate_hz))
-    block = max(_QUARTERS, min(block, known.size // 8))
-    widening = widening_of_blocks(block / known.size)
-    dependence = residual_dependence(known, modelled[rows])
+    finite_residual = residual[rows]
+    block = max(_SHORTEST_BLOCK, dependence_samples(finite_residual, sample_rate_hz))
+    block = max(_QUARTERS, min(block, finite_residual.size // 8))
+    widening = widening_of_blocks(block / finite_residual.size)
+    dependence = residual_dependence(finite_residual, modelled[rows])
     quarter = np.arange(samples) // max(1, block // _QUARTERS)
     roots = []
     for (regressors, solved), error in zip(parts, errors, strict=True):

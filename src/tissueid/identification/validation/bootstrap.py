@@ -117,18 +117,18 @@ def bootstrap(
                 ) from error
         if progress is not None:
             progress(done + 1, n)
-    found = np.array(draws)  # (n, k)
+    replicates = np.array(draws)  # (n, k)
     if method == "blocks":
-        found = estimate + widening_of_blocks(source.block / source.count) * (found - estimate)
+        replicates = estimate + widening_of_blocks(source.block / source.count) * (replicates - estimate)
     tail = 0.5 - level_percent / 200.0
-    low, high = np.quantile(found, [tail, 1.0 - tail], axis=0)
+    low, high = np.quantile(replicates, [tail, 1.0 - tail], axis=0)
     return Bands(
         estimate=estimate,
-        std=np.std(found, axis=0, ddof=1),
+        std=np.std(replicates, axis=0, ddof=1),
         low=2.0 * estimate - high,
         high=2.0 * estimate - low,
         level_percent=level_percent,
-        draws=found,
+        draws=replicates,
         method=method,
         block_samples=source.block,
         refused=refused,
@@ -147,15 +147,15 @@ class _Source:
         self.simulated = model.simulate(record.input)
         residual = np.where(used, record.output - self.simulated, np.nan)
         self.count = int(np.isfinite(residual).sum())
-        known = residual[np.isfinite(residual)]
+        finite = residual[np.isfinite(residual)]
         freedom = self.count / max(
             1.0, self.count - model.report.n_parameters
         )  # the fit reduces the variance of the residual
-        self.residual = (residual - known.mean()) * math.sqrt(min(freedom, 2.0))
+        self.residual = (residual - finite.mean()) * math.sqrt(min(freedom, 2.0))
         if block is not None:
             self.block = max(1, round(block * record.sample_rate_hz))
         else:
-            self.block = max(1, 2 * dependence_samples(known, record.sample_rate_hz))
+            self.block = max(1, 2 * dependence_samples(finite, record.sample_rate_hz))
             if method == "blocks":  # each block also needs the inputs of its memory, so it should not be much shorter
                 self.block = max(self.block, min(self.memory, self.count // _USUAL_BLOCKS))
         if self.count < _FEWEST_BLOCKS * self.block:

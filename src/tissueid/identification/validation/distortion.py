@@ -65,10 +65,10 @@ def find_period(u: Array) -> int:
     Raises:
         UnusableInputError: the input is not periodic, or fewer than 1.02 periods were recorded.
     """
-    known = np.isfinite(u)
-    if not known.any() or np.ptp(u[known]) == 0.0:
+    finite = np.isfinite(u)
+    if not finite.any() or np.ptp(u[finite]) == 0.0:
         raise UnusableInputError("multisine.constant", "the input does not vary: it has no period")
-    x = np.where(known, u - np.mean(u[known]), 0.0)
+    x = np.where(finite, u - np.mean(u[finite]), 0.0)
     n = x.size
     size = fft.next_fast_len(2 * n, real=True)
     auto = fft.irfft(np.abs(fft.rfft(x, size)) ** 2, size)[:n]
@@ -259,7 +259,7 @@ def distortion(
         raise UnusableInputError("distortion.sample_rates", "the realisations have different sample rates")
     samples = find_period(realisations[0].input) if period is None else period
     cut = [cut_periods(record, samples, settling) for record in realisations]
-    power = np.mean([np.abs(one.input.mean(axis=0)) ** 2 for one in cut], axis=0)  # (lines,)
+    power = np.mean([np.abs(realisation.input.mean(axis=0)) ** 2 for realisation in cut], axis=0)  # (lines,)
     lines = find_driven(power) if driven is None else _checked(driven, power)
     return _Separation(cut, lines).separate()
 
@@ -288,22 +288,33 @@ class _Separation:
         self.band = np.arange(driven[0], driven[-1] + 1)
         self.at_driven = driven - driven[0]  # positions in the band
         self.is_driven = np.isin(self.band, driven)
-        ratios = np.array([one.output[:, driven].mean(axis=0) / one.input[:, driven].mean(axis=0) for one in cut])
+        ratios = np.array(
+            [
+                realisation.output[:, driven].mean(axis=0) / realisation.input[:, driven].mean(axis=0)
+                for realisation in cut
+            ]
+        )
         self.responses = ratios  # (realisations, driven)
         self.response = ratios.mean(axis=0)
         everywhere = np.interp(self.band, driven, self.response.real) + 1j * np.interp(
             self.band, driven, self.response.imag
         )
-        self.left = [one.output[:, self.band] - everywhere * one.input[:, self.band] for one in cut]
-        self.freedom = sum(left.shape[0] - 1 for left in self.left)
-        self.periods = min(left.shape[0] for left in self.left)
+        self.residuals = [
+            realisation.output[:, self.band] - everywhere * realisation.input[:, self.band] for realisation in cut
+        ]
+        self.freedom = sum(residual.shape[0] - 1 for residual in self.residuals)
+        self.periods = min(residual.shape[0] for residual in self.residuals)
 
     def separate(self) -> Distortion:
         single = self._noise_power()  # (band,) of one period, or None
-        share = float(np.mean([1.0 / left.shape[0] for left in self.left]))
-        known = np.full(self.band.size, np.nan) if single is None else single * share
-        stood = np.mean([np.abs(left.mean(axis=0)) ** 2 for left in self.left], axis=0)  # (band,) averaged output
-        output = np.mean([np.abs(one.output[:, self.band].mean(axis=0)) ** 2 for one in self.cut], axis=0)
+        share = float(np.mean([1.0 / residual.shape[0] for residual in self.residuals]))
+        noise = np.full(self.band.size, np.nan) if single is None else single * share
+        stood = np.mean(
+            [np.abs(residual.mean(axis=0)) ** 2 for residual in self.residuals], axis=0
+        )  # (band,) averaged output
+        output = np.mean(
+            [np.abs(realisation.output[:, self.band].mean(axis=0)) ** 2 for realisation in self.cut], axis=0
+        )
         is_even = self.band % 2 == 0
         is_detection = ~is_even & ~self.is_driven
         findings: list[str] = (
@@ -317,21 +328,23 @@ class _Separation:
             ]
         )
 
-        input_power = np.mean([np.abs(one.input[:, self.driven].mean(axis=0)) ** 2 for one in self.cut], axis=0)
+        input_power = np.mean(
+            [np.abs(realisation.input[:, self.driven].mean(axis=0)) ** 2 for realisation in self.cut], axis=0
+        )
         total = np.full(self.driven.size, np.nan)
         if len(self.cut) > 1:
             total = np.sqrt(np.var(self.responses, axis=0, ddof=1) / len(self.cut))
         odd: Estimate | None = None
         if np.any(is_detection):
             weights = self._interpolation_weights(self.band[is_detection])  # (driven, detection)
-            odd = self._sum(stood[is_detection], known[is_detection], 1.0 + weights.sum(axis=0))
+            odd = self._sum(stood[is_detection], noise[is_detection], 1.0 + weights.sum(axis=0))
             if len(self.cut) == 1:
-                beyond = weights @ (stood - np.nan_to_num(known))[is_detection] + np.nan_to_num(known)[self.at_driven]
+                beyond = weights @ (stood - np.nan_to_num(noise))[is_detection] + np.nan_to_num(noise)[self.at_driven]
                 total = np.sqrt(np.maximum(beyond, 0.0) / input_power)
         elif len(self.cut) > 1:
-            left = np.array([one.mean(axis=0)[self.at_driven] for one in self.left])
-            spread = np.sum(np.abs(left) ** 2, axis=0) / (len(self.cut) - 1)
-            odd = self._sum(spread, known[self.at_driven], np.ones(self.driven.size), of_these_phases=False)
+            means = np.array([residual.mean(axis=0)[self.at_driven] for residual in self.residuals])
+            spread = np.sum(np.abs(means) ** 2, axis=0) / (len(self.cut) - 1)
+            odd = self._sum(spread, noise[self.at_driven], np.ones(self.driven.size), of_these_phases=False)
         else:
             findings.append(
                 Message(
@@ -344,15 +357,15 @@ class _Separation:
             period=self.cut[0].period,
             periods=self.periods,
             realisations=len(self.cut),
-            driven=self._levels(self.is_driven, output, known),
-            detection=self._levels(is_detection, stood, known),
-            even=self._levels(is_even, stood, known),
+            driven=self._levels(self.is_driven, output, noise),
+            detection=self._levels(is_detection, stood, noise),
+            even=self._levels(is_even, stood, noise),
             response=self.response,
-            response_noise_std=np.sqrt(known[self.at_driven] / input_power / len(self.cut)),
+            response_noise_std=np.sqrt(noise[self.at_driven] / input_power / len(self.cut)),
             response_total_std=total,
             output_rms=self._rms_of(float(np.sum(output))),
             noise_rms=None if single is None else self._noise_rms(single),
-            even_rms=self._sum(stood[is_even], known[is_even], np.ones(int(is_even.sum()))),
+            even_rms=self._sum(stood[is_even], noise[is_even], np.ones(int(is_even.sum()))),
             odd_rms=odd,
             findings=tuple(findings),
         )
@@ -362,9 +375,12 @@ class _Separation:
         noise.
         """
         if self.freedom > 0:
-            about = [np.sum(np.abs(left - left.mean(axis=0)) ** 2, axis=0) for left in self.left]
+            about = [np.sum(np.abs(residual - residual.mean(axis=0)) ** 2, axis=0) for residual in self.residuals]
             return np.asarray(np.sum(about, axis=0) / self.freedom, dtype=np.float64)
-        tail = np.concatenate([one.tail - one.tail.mean() for one in self.cut if one.tail.size > 1] or [np.zeros(0)])
+        tail = np.concatenate(
+            [realisation.tail - realisation.tail.mean() for realisation in self.cut if realisation.tail.size > 1]
+            or [np.zeros(0)]
+        )
         if tail.size < 2 * len(self.cut) + 30:
             return None
         return np.full(self.band.size, self.cut[0].period * float(np.mean(tail**2)) / 2.0)
@@ -393,7 +409,9 @@ class _Separation:
 
     def _noise_rms(self, power: Array) -> Estimate:
         level = self._rms_of(float(np.sum(power)))
-        samples = self.freedom * power.size if self.freedom else sum(one.tail.size for one in self.cut) / 2
+        samples = (
+            self.freedom * power.size if self.freedom else sum(realisation.tail.size for realisation in self.cut) / 2
+        )
         return Estimate(level, level / (2.0 * np.sqrt(samples)))
 
     def _levels(self, which: Mask, power: Array, noise: Array) -> LineLevels:

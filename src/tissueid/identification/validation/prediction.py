@@ -58,9 +58,9 @@ class Autoregression:
         """Return a signal (n,) filtered by the whitening filter, shape (n,); NaN where the filter covers an unknown
         sample.
         """
-        known = np.isfinite(signal)
-        filtered = np.convolve(np.where(known, signal, 0.0), np.concatenate([[1.0], -self.coefficients]))
-        return np.where(complete_windows(known, self.order + 1), filtered[: signal.size], np.nan)
+        finite = np.isfinite(signal)
+        filtered = np.convolve(np.where(finite, signal, 0.0), np.concatenate([[1.0], -self.coefficients]))
+        return np.where(complete_windows(finite, self.order + 1), filtered[: signal.size], np.nan)
 
     def response(self, length: int) -> Array:
         """Return the response psi (length,) of the signal to one innovation: psi[0] = 1."""
@@ -93,12 +93,12 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
     Raises:
         UnusableInputError: too few successive samples, or the signal does not vary.
     """
-    known = np.isfinite(signal)
-    count = int(known.sum())
+    finite = np.isfinite(signal)
+    count = int(finite.sum())
     largest = min(_LARGEST_ORDER, count // _ROWS_PER_ORDER) if max_order is None else max_order
-    while max_order is None and largest > 1 and not _has_enough_rows(known, largest):
+    while max_order is None and largest > 1 and not _has_enough_rows(finite, largest):
         largest -= 1
-    if not _has_enough_rows(known, largest):
+    if not _has_enough_rows(finite, largest):
         raise UnusableInputError(
             "noise_model.too_few_residuals",
             "{count} residuals have too few without gaps for a noise model of order {order}: record longer, or "
@@ -106,13 +106,13 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
             count=int(count),
             order=largest,
         )
-    rows = complete_windows(known, largest + 1)
-    mean = float(np.mean(signal[known]))
-    centred = np.where(known, signal - mean, 0.0)
+    rows = complete_windows(finite, largest + 1)
+    mean = float(np.mean(signal[finite]))
+    centred = np.where(finite, signal - mean, 0.0)
     if float(np.max(np.abs(centred))) <= 1e-12 * max(abs(mean), 1e-300):
         raise UnusableInputError("noise_model.constant", "the residual does not vary: there is no noise to describe")
     order = _best_order(lagged_products(centred, rows, largest + 1), int(rows.sum()))
-    rows = complete_windows(known, order + 1)
+    rows = complete_windows(finite, order + 1)
     used = int(rows.sum())
     products = lagged_products(centred, rows, order + 1)
     coefficients = _stabilised(_solve(products))
@@ -127,18 +127,18 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
     )
 
 
-def _has_enough_rows(known: Mask, order: int) -> bool:
+def _has_enough_rows(finite: Mask, order: int) -> bool:
     """Return whether there are enough successive known samples for a noise model of this order."""
-    return int(complete_windows(known, order + 1).sum()) >= _ROWS_PER_ORDER * max(1, order)
+    return int(complete_windows(finite, order + 1).sum()) >= _ROWS_PER_ORDER * max(1, order)
 
 
 def _best_order(products: Array, rows: int) -> int:
     """Return the order with the smallest AICc, with all orders scored on the same rows."""
     factor = linalg.cholesky(_with_ridge(products[1:, 1:]), lower=True) if products.shape[0] > 1 else np.zeros((0, 0))
     explained = linalg.solve_triangular(factor, products[1:, 0], lower=True) if factor.size else np.zeros(0)
-    left = products[0, 0] - np.concatenate([[0.0], np.cumsum(explained**2)])
-    left = np.maximum(left, 1e-14 * products[0, 0])
-    return int(np.argmin([_aicc(float(power), rows, order) for order, power in enumerate(left)]))
+    powers = products[0, 0] - np.concatenate([[0.0], np.cumsum(explained**2)])
+    powers = np.maximum(powers, 1e-14 * products[0, 0])
+    return int(np.argmin([_aicc(float(power), rows, order) for order, power in enumerate(powers)]))
 
 
 def _solve(products: Array) -> Array:

@@ -172,7 +172,7 @@ def _shifts(first: Array, other: Array, most: int, block: int) -> Lags:
     A block keeps the shift of the one before it if that fits about as well, for example in a preload, where nothing
     moves.
     """
-    found = []
+    shifts = []
     last = 0
     alike = False
     reach = np.pad(other, (most, most + max(0, first.size - other.size)), constant_values=np.nan)
@@ -180,20 +180,20 @@ def _shifts(first: Array, other: Array, most: int, block: int) -> Lags:
         stretch = first[start : start + block]
         around = reach[start : start + block + 2 * most]
         distance = np.lib.stride_tricks.sliding_window_view(around, block) - stretch  # (2 most + 1, block)
-        known = np.isfinite(distance)
-        enough = known.sum(axis=1) >= block // 2
+        finite = np.isfinite(distance)
+        enough = finite.sum(axis=1) >= block // 2
         if enough.any():
-            squares = np.sum(np.where(known, distance, 0.0) ** 2, axis=1) / np.maximum(1, known.sum(axis=1))
+            squares = np.sum(np.where(finite, distance, 0.0) ** 2, axis=1) / np.maximum(1, finite.sum(axis=1))
             squares[~enough] = np.inf
             near = np.flatnonzero(squares <= _EQUAL_MISFIT * np.min(squares)) - most
             last = int(near[np.argmin(np.abs(near - last))])
             alike |= bool(np.min(squares) < _LARGEST_MISFIT * np.nanvar(stretch))
-        found.append(last)
+        shifts.append(last)
     if not alike:
         raise UnusableInputError(
             "ceiling.different_inputs", "the inputs of the repeats differ: choose tests of one command"
         )
-    return np.array(found, dtype=np.int_)
+    return np.array(shifts, dtype=np.int_)
 
 
 def _aligned(records: Sequence[Record], shifts: Sequence[Lags], block: int) -> tuple[Array, Array]:

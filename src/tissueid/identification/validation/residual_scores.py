@@ -57,17 +57,17 @@ class Scores:
 
     def joint(self) -> tuple[float, float]:
         """Return the p-value of the largest lag, and the threshold that 5 % of all curves exceed by chance."""
-        known = np.isfinite(self.correlation)
-        if not known.any():
+        finite = np.isfinite(self.correlation)
+        if not finite.any():
             return float("nan"), float("nan")
-        std = self.std[known]
-        farthest = float(np.max(np.abs(self.correlation[known]) / std))
+        std = self.std[finite]
+        farthest = float(np.max(np.abs(self.correlation[finite]) / std))
         if self.unrelated:
-            one = special.erfc(farthest / np.sqrt(2.0))  # for a single lag
-            return -float(np.expm1(std.size * np.log1p(-one))), float(
+            single = special.erfc(farthest / np.sqrt(2.0))  # for a single lag
+            return -float(np.expm1(std.size * np.log1p(-single))), float(
                 -special.ndtri((1.0 - LEVEL ** (1 / std.size)) / 2)
             )
-        related = self.covariance[np.ix_(known, known)] / np.outer(std, std)
+        related = self.covariance[np.ix_(finite, finite)] / np.outer(std, std)
         largest = _largest_of(related)
         exceeded = 1.0 + float(np.sum(largest >= farthest))
         return exceeded / (largest.size + 1.0), float(np.quantile(largest, LEVEL))
@@ -125,14 +125,14 @@ class WhitenedProducts:
         weights = linalg.cho_solve(factor, p[out, some])  # (out, lags)
         sums = p[some, -1] - weights.T @ p[out, -1]
         shared = weights.T @ p[out, some]
-        left = p[some, some] - shared - shared.T + weights.T @ p[out, out] @ weights
-        covariance = widening * self.innovation_power * left
+        projected = p[some, some] - shared - shared.T + weights.T @ p[out, out] @ weights
+        covariance = widening * self.innovation_power * projected
         if extra is not None and not project:
             answers = p[some, 1 : 1 + self.nuisance] - weights.T @ p[out, 1 : 1 + self.nuisance]  # (lags, nuisance)
             covariance = covariance + self.nuisance_size**2 * answers @ extra @ answers.T
         power = np.diag(p[some, some]) - p[some, 0] ** 2 / p[0, 0]
         scale = np.sqrt(np.maximum(power, 0.0) * self.n_rows * self.innovation_power)
-        empty = np.diag(left) <= _NEGLIGIBLE_REST * power
+        empty = np.diag(projected) <= _NEGLIGIBLE_REST * power
         scale[empty] = np.inf
         correlation = np.where(empty, np.nan, sums / scale)
         return Scores(self.signals[which], correlation, covariance / np.outer(scale, scale))
@@ -200,8 +200,8 @@ def whitened_products(
 
 
 def _rms(signal: Array) -> float:
-    known = signal[np.isfinite(signal)]
-    size = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+    finite = signal[np.isfinite(signal)]
+    size = float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
     return size if size > 0.0 else 1.0
 
 
@@ -240,10 +240,10 @@ def kernel_error(x: Array, noise: Autoregression, lags: int, fitted: int, length
 
     The covariance is inv(R) S inv(R) / fitted, with S from the product of the spectra of input and noise.
     """
-    known = np.isfinite(x)
-    filled = np.where(known, x - np.mean(x[known]), 0.0)
+    finite = np.isfinite(x)
+    filled = np.where(finite, x - np.mean(x[finite]), 0.0)
     size = fft.next_fast_len(filled.size + lags + length, real=True)
-    power = np.abs(fft.rfft(filled, size)) ** 2 / known.sum()
+    power = np.abs(fft.rfft(filled, size)) ** 2 / finite.sum()
     auto = fft.irfft(power, size)[: lags + length]
     filtered = np.abs(fft.rfft(np.concatenate([[1.0], -noise.coefficients]), size)) ** 2
     score = fft.irfft(power * noise.innovation_std**2 / filtered, size)[:lags]

@@ -216,13 +216,13 @@ def residual_tests(
 
 def _autocorrelation(residual: Array, lags: Lags, error: KernelError, share: float, in_sample: bool) -> Scores:
     """Return the autocorrelation of a residual (n,), corrected for the error of the fitted kernel."""
-    known = np.isfinite(residual)
-    centred = np.where(known, residual - np.mean(residual[known]), 0.0)
+    finite = np.isfinite(residual)
+    centred = np.where(finite, residual - np.mean(residual[finite]), 0.0)
     length = int(lags[-1]) + 1
-    pairs = np.maximum(1.0, np.round(Correlator(known.astype(np.float64), length).auto() * known.size))[lags]
-    auto = Correlator(centred, length).auto() * known.size
-    left = (-share * error.deficit) if in_sample else share * error.excess
-    correlation = auto[lags] / pairs / (auto[0] / known.sum()) - left[lags] / (1.0 + left[0])
+    pairs = np.maximum(1.0, np.round(Correlator(finite.astype(np.float64), length).auto() * finite.size))[lags]
+    auto = Correlator(centred, length).auto() * finite.size
+    bias = (-share * error.deficit) if in_sample else share * error.excess
+    correlation = auto[lags] / pairs / (auto[0] / finite.sum()) - bias[lags] / (1.0 + bias[0])
     return independent_scores(lags, correlation, 1.0 / np.sqrt(pairs))
 
 
@@ -234,8 +234,8 @@ def _product(innovation: Array, x: Array, lags: Lags) -> Scores:
     carried = innovation * x
     rows = np.arange(int(lags[-1]), innovation.size)
     before = carried[rows[:, None] - lags]  # (rows, lags)
-    known = np.isfinite(before).all(axis=1) & np.isfinite(innovation[rows])
-    before, now = before[known], innovation[rows][known]
+    finite = np.isfinite(before).all(axis=1) & np.isfinite(innovation[rows])
+    before, now = before[finite], innovation[rows][finite]
     power = float(np.mean(now**2))
     scale = np.sqrt(power * now.size * np.sum(before**2, axis=0))
     return Scores(lags, now @ before / scale, power * before.T @ before / np.outer(scale, scale))
@@ -246,11 +246,11 @@ def _normal_scores(values: Array) -> Array:
 
     Squared residuals have heavy tails, and sums of a few thousand of them are not yet normal.
     """
-    known = np.isfinite(values)
+    finite = np.isfinite(values)
     scores = np.full(values.size, np.nan)
-    ranks = np.empty(int(known.sum()))
-    ranks[np.argsort(values[known])] = np.arange(1.0, ranks.size + 1.0)
-    scores[known] = special.ndtri((ranks - 0.5) / ranks.size)
+    ranks = np.empty(int(finite.sum()))
+    ranks[np.argsort(values[finite])] = np.arange(1.0, ranks.size + 1.0)
+    scores[finite] = special.ndtri((ranks - 0.5) / ranks.size)
     return scores
 
 
@@ -275,21 +275,21 @@ def _is_linear(model: Model, u: Array, simulated: Array, used: Mask) -> bool:
 
 
 def _adjusted_tests(scores: dict[TestName, Scores | None], rate: float) -> tuple[ResidualTest, ...]:
-    joint = {name: found.joint() for name, found in scores.items() if found is not None}
+    joint = {name: test_scores.joint() for name, test_scores in scores.items() if test_scores is not None}
     p_values = {name: p for name, (p, _) in joint.items() if np.isfinite(p)}
     adjusted = _holm(p_values)
     tests = []
     for name, meaning in MEANINGS.items():
-        found = scores[name]
+        test_scores = scores[name]
         none = np.zeros(0)
-        std = none if found is None else found.std
+        std = none if test_scores is None else test_scores.std
         tests.append(
             ResidualTest(
                 name=name,
-                lag_s=none if found is None else found.lags / rate,
-                correlation=none if found is None else found.correlation,
+                lag_s=none if test_scores is None else test_scores.lags / rate,
+                correlation=none if test_scores is None else test_scores.correlation,
                 band=_Z * std,
-                overall_band=none if found is None else joint[name][1] * std,
+                overall_band=none if test_scores is None else joint[name][1] * std,
                 p_value=p_values.get(name),
                 adjusted_p_value=adjusted.get(name),
                 meaning=meaning,
@@ -310,11 +310,11 @@ def _holm(p_values: dict[TestName, float]) -> dict[TestName, float]:
 
 def _findings(tests: Sequence[ResidualTest]) -> tuple[str, ...]:
     failed = [test for test in tests if test.adjusted_p_value is not None and test.adjusted_p_value < 1.0 - LEVEL]
-    found = tuple(test.meaning for test in failed)
+    meanings = tuple(test.meaning for test in failed)
     if any(test.name != "autocorrelation" for test in failed):
-        return found
+        return meanings
     return (
-        *found,
+        *meanings,
         Message(
             "residuals.unrelated",
             "these tests find no relation between residual and input: no missing dynamics or nonlinearity",

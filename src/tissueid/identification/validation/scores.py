@@ -52,8 +52,8 @@ def above_noise(measured: Array, fitted: Array | None = None) -> bool:
     It does if its variance is not far below that of the ``fitted`` output (m,) or, above a smaller share, if neighbours
     are more alike than noise is: their mean squared difference is 2 variances for white noise (von Neumann 1941).
     """
-    known = np.isfinite(measured)
-    variance = float(np.var(measured[known])) if known.sum() > 1 else 0.0
+    finite = np.isfinite(measured)
+    variance = float(np.var(measured[finite])) if finite.sum() > 1 else 0.0
     if variance == 0.0:
         return False
     steps = np.diff(measured)

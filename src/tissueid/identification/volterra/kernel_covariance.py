@@ -24,9 +24,9 @@ def fill_pairs(along: Array, across: Array, twice_along: Index, distance: Index)
     p = twice_along.size
     covariance = np.empty((p, p))
     for m in range(p):
-        one, other = along[twice_along[m]], across[distance[m]]
+        along_row, across_row = along[twice_along[m]], across[distance[m]]
         for k in range(m + 1):
-            covariance[m, k] = one[twice_along[k]] * other[distance[k]]
+            covariance[m, k] = along_row[twice_along[k]] * across_row[distance[k]]
     for m in range(p):
         for k in range(m + 1, p):
             covariance[m, k] = covariance[k, m]
@@ -200,12 +200,12 @@ class OutputCovariance:
         """Return the covariance (n, m) of the outputs of lagged inputs (n, L) with those of others (m, L)."""
         first, smooth, diagonal = self.lag_covariances(hyper)
         # The linear parts of all orders form one product.
-        left, right = [windows @ first], [others]
+        left_factors, right_factors = [windows @ first], [others]
         scales, on_diagonals = self.scales(hyper)
         for order, on_diagonal in enumerate(on_diagonals, start=2):
-            left.append(windows**order @ (on_diagonal * diagonal))
-            right.append(others**order)
-        total = np.asarray(np.concatenate(left, axis=1) @ np.concatenate(right, axis=1).T)
+            left_factors.append(windows**order @ (on_diagonal * diagonal))
+            right_factors.append(others**order)
+        total = np.asarray(np.concatenate(left_factors, axis=1) @ np.concatenate(right_factors, axis=1).T)
         if self.order > 1:
             product = (windows @ smooth) @ others.T
             power = product
@@ -218,25 +218,25 @@ class OutputCovariance:
         """Return the derivatives of sum(weight * covariance) with respect to the hyperparameters, for a symmetric
         weight (n, n).
         """
-        found = np.zeros(hyper.size)
-        found[:FIRST] = self._lag_covariance.slopes(hyper[:FIRST], windows.T @ (weight @ windows))
+        derivatives = np.zeros(hyper.size)
+        derivatives[:FIRST] = self._lag_covariance.slopes(hyper[:FIRST], windows.T @ (weight @ windows))
         if self.order > 1:
             product = (windows @ self.lag_covariances(hyper)[1]) @ windows.T
             by_product = np.zeros_like(product)
             power = np.asarray(weight * product)  # weight times the product to the order less one
             for order, scale in enumerate(self.scales(hyper)[0], start=2):
-                place = _SHAPES + 2 * (order - 2)
+                index = _SHAPES + 2 * (order - 2)
                 by_product += order * scale * power
                 power *= product
-                found[place] = scale * float(power.sum())
+                derivatives[index] = scale * float(power.sum())
                 raised = windows**order
-                shape = np.array([hyper[place + 1], *hyper[1:FIRST]])
+                shape = np.array([hyper[index + 1], *hyper[1:FIRST]])
                 on_diagonal = self._lag_covariance.slopes(shape, raised.T @ (weight @ raised))
-                found[place + 1] = on_diagonal[0]
-                found[1:FIRST] += on_diagonal[1:]
+                derivatives[index + 1] = on_diagonal[0]
+                derivatives[1:FIRST] += on_diagonal[1:]
             smooth = self._lag_covariance.slopes(self._smooth(hyper), windows.T @ (by_product @ windows))
-            found[FIRST:_SHAPES] = smooth[1:]
-        return found
+            derivatives[FIRST:_SHAPES] = smooth[1:]
+        return derivatives
 
     def initial(self, windows: Array, rows: float) -> Array:
         """Return initial hyperparameters: kernels decay within the memory and explain most of the output."""
@@ -316,7 +316,7 @@ def search(
     initial = covariance.initial(windows, rows)
     bounds = covariance.bounds(initial)
     low, high = np.array(bounds).T
-    found = optimize.minimize(
+    minimum = optimize.minimize(
         deviance,
         np.clip(initial if begin is None else begin, low, high),
         jac=True,
@@ -324,13 +324,13 @@ def search(
         bounds=bounds,
         options={"maxiter": _SEARCH_STEPS, "ftol": _TOLERANCE},
     )
-    hyper = np.asarray(found.x, dtype=np.float64)
+    hyper = np.asarray(minimum.x, dtype=np.float64)
     z = covariance.between(hyper, windows, windows)
     z[np.diag_indices_from(z)] += 1.0
     weights = linalg.solve(z, np.column_stack([centred, ones]), assume_a="pos", check_finite=False)
     weights = weights[:, 0] - weights[:, 1] * (weights[:, 0].sum() / weights[:, 1].sum())
     noise = max(float(centred @ weights), least) / (dependence * rows)
-    evidence = 0.5 * rows * (np.log(dependence * rows / whole) - np.log(2.0 * np.pi) - 1.0) - float(found.fun)
+    evidence = 0.5 * rows * (np.log(dependence * rows / whole) - np.log(2.0 * np.pi) - 1.0) - float(minimum.fun)
     return hyper, noise, evidence
 
 

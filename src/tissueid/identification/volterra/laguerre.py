@@ -132,8 +132,8 @@ def laguerre_kernels(
         )
     trial = _Trial(np.where(np.isfinite(x), x, 0.0), y[rows] - y[rows].mean(), rows, lags, spacing, order)
     counts = range(1, most + 1) if functions is None else [functions]
-    pole, count, left = _choose(trial, counts, pole)
-    return _solve(trial, count, pole, 100.0 * (1.0 - left), float(y[rows].mean()))
+    pole, count, unexplained = _choose(trial, counts, pole)
+    return _solve(trial, count, pole, 100.0 * (1.0 - unexplained), float(y[rows].mean()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +181,11 @@ class _Trial:
         for own, by_output, power in zip(grams, rights, powers, strict=True):
             rest = (gram - own)[np.ix_(order, order)] + ridge
             own_ordered, by_output_ordered = own[np.ix_(order, order)], by_output[order]
-            for place, (size, fitted) in enumerate(
+            for index, (size, fitted) in enumerate(
                 zip(sizes, _nested(rest, (right - by_output)[order], sizes), strict=True)
             ):
                 explained = 2.0 * fitted @ by_output_ordered[:size] - fitted @ own_ordered[:size, :size] @ fitted
-                missed[place] += power - explained
+                missed[index] += power - explained
         return missed / sum(powers)
 
 
@@ -318,10 +318,10 @@ def _highest_function(functions: int, order: int) -> NDArray[np.intp]:
 def _second_variance(functions: Array, covariance: Array) -> Array:
     """Return the variance of h2, (L, L), from the covariance of its coefficients."""
     lags, count = functions.shape
-    one, other = np.triu_indices(count)
+    first, second = np.triu_indices(count)
     row, column = np.triu_indices(lags)
-    terms = functions[row][:, one] * functions[column][:, other]
-    terms = 0.5 * (terms + functions[row][:, other] * functions[column][:, one])  # (L (L + 1) / 2, pairs)
+    terms = functions[row][:, first] * functions[column][:, second]
+    terms = 0.5 * (terms + functions[row][:, second] * functions[column][:, first])  # (L (L + 1) / 2, pairs)
     variance = np.empty((lags, lags))
     variance[row, column] = variance[column, row] = _variance(terms, covariance)
     return variance
@@ -332,9 +332,9 @@ def _third(functions: Array, coefficients: Array) -> Array:
     count = functions.shape[1]
     shares = np.zeros((count, count, count))
     for some, value in zip(combinations_with_replacement(range(count), 3), coefficients, strict=True):
-        places = set(permutations(some))
-        for place in places:
-            shares[place] = value / len(places)
+        positions = set(permutations(some))
+        for position in positions:
+            shares[position] = value / len(positions)
     kernel = np.einsum("ia,jb,kc,abc->ijk", functions, functions, functions, shares, optimize=True)
     return np.asarray(kernel, dtype=np.float64)
 

@@ -178,10 +178,10 @@ def _choose(
         hyper, noise, evidence = search(covariance, windows, output, counted, hyper)
         modelled = _modelled(covariance, hyper, windows, output, lagged_inputs(x, rows, lags, spacing))
         dependence = residual_dependence(y[rows] - modelled, modelled)
-        found = max(1.0, dependence * share)
-        if found < _REFIT * counted:
+        revised = max(1.0, dependence * share)
+        if revised < _REFIT * counted:
             return _Chosen(hyper, counted * noise, noise, evidence, dependence)
-        counted = found
+        counted = revised
 
 
 def _modelled(covariance: OutputCovariance, hyper: Array, windows: Array, output: Array, others: Array) -> Array:
@@ -231,8 +231,8 @@ def _posterior(
         """Return the standard deviations of kernel values with prior variances (k,) and covariances (n, k) with the
         rows.
         """
-        known = half(cross)
-        variance = prior - np.einsum("ij,ij->j", known, known) + (by_ones @ known) ** 2 / certainty
+        whitened = half(cross)
+        variance = prior - np.einsum("ij,ij->j", whitened, whitened) + (by_ones @ whitened) ** 2 / certainty
         return np.asarray(np.sqrt(density * np.maximum(variance, 0.0)))
 
     first_lag, smooth, diagonal = covariance.lag_covariances(hyper)
@@ -264,7 +264,7 @@ def _posterior(
     unit = np.zeros((n, leverages.size))
     unit[leverages, np.arange(leverages.size)] = 1.0
     unit = half(unit)
-    left = np.einsum("ij,ij->j", unit, unit) - (by_ones @ unit) ** 2 / certainty
+    unexplained = np.einsum("ij,ij->j", unit, unit) - (by_ones @ unit) ** 2 / certainty
     return RegressionKernels(
         kernel0=float(offset + constant),
         kernel1=seen.T @ weights,
@@ -273,7 +273,7 @@ def _posterior(
         kernel0_std=float(np.sqrt(density / certainty)),
         kernel1_std=std(np.diag(first_lag), seen),
         kernel2_std=kernel2_std,
-        effective_parameters=n * (1.0 - float(np.mean(left))),
+        effective_parameters=n * (1.0 - float(np.mean(unexplained))),
         hyperparameters=covariance.named(hyper, density),
         log_evidence=chosen.log_evidence,
         noise_variance=chosen.noise_variance,
@@ -406,16 +406,16 @@ def regularised_least_squares(regressors: VolterraRegressors, output: Array) -> 
             warnings=dual.warnings,
         )
     y = output[regressors.rows]
-    found = regularised_fit(regressors.normal_equations(regressors.gram(), y), regressors, y)
-    theta = found.coefficients.copy()
+    fit = regularised_fit(regressors.normal_equations(regressors.gram(), y), regressors, y)
+    theta = fit.coefficients.copy()
     theta[0] += y.mean()
-    deviations = kernels_of(found.std, regressors.lags, regressors.order)
+    deviations = kernels_of(fit.std, regressors.lags, regressors.order)
     return Solved(
         kernels=kernels_of(theta, regressors.lags, regressors.order),
         kernel1_std=deviations.first,
         kernel2_std=deviations.second,
-        parameters=found.effective_parameters,
-        details=_prior_details(found),
+        parameters=fit.effective_parameters,
+        details=_prior_details(fit),
     )
 
 
@@ -425,27 +425,25 @@ def laguerre_least_squares(regressors: VolterraRegressors, output: Array) -> Sol
     Raises:
         UnusableInputError: too few rows.
     """
-    found = laguerre_kernels(
-        regressors.x, output, regressors.used, regressors.lags, regressors.spacing, regressors.order
-    )
+    fit = laguerre_kernels(regressors.x, output, regressors.used, regressors.lags, regressors.spacing, regressors.order)
     return Solved(
-        kernels=Kernels(found.kernel0, found.kernel1, found.kernel2, found.kernel3),
-        kernel1_std=found.kernel1_std,
-        kernel2_std=found.kernel2_std,
-        parameters=float(found.n_parameters),
+        kernels=Kernels(fit.kernel0, fit.kernel1, fit.kernel2, fit.kernel3),
+        kernel1_std=fit.kernel1_std,
+        kernel2_std=fit.kernel2_std,
+        parameters=float(fit.n_parameters),
         details={
-            "laguerre_pole": found.pole,
-            "laguerre_functions": float(found.functions.shape[1]),
-            "vaf_left_out_percent": found.held_out_percent,
+            "laguerre_pole": fit.pole,
+            "laguerre_functions": float(fit.functions.shape[1]),
+            "vaf_left_out_percent": fit.held_out_percent,
         },
-        warnings=found.warnings,
+        warnings=fit.warnings,
     )
 
 
-def _prior_details(found: RegularisedKernels | RegressionKernels) -> dict[str, float]:
+def _prior_details(fit: RegularisedKernels | RegressionKernels) -> dict[str, float]:
     return {
-        "effective_parameters": found.effective_parameters,
-        "dependence": found.dependence,
-        "log_evidence": found.log_evidence,
-        "noise_variance": found.noise_variance,
-    } | {f"prior_{name}": value for name, value in found.hyperparameters.items()}
+        "effective_parameters": fit.effective_parameters,
+        "dependence": fit.dependence,
+        "log_evidence": fit.log_evidence,
+        "noise_variance": fit.noise_variance,
+    } | {f"prior_{name}": value for name, value in fit.hyperparameters.items()}

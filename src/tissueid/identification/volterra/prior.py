@@ -148,19 +148,19 @@ def regularised_fit(equations: NormalEquations, regressors: CoefficientMap, outp
         equations.lags,
         1,
     )
-    found: RegularisedKernels | None = None
+    fit: RegularisedKernels | None = None
     linear = np.zeros(equations.right.size)
     linear[lags] = regularised(first).coefficients
     modelled = regressors.apply(linear)
     dependence = residual_dependence(centred - modelled, modelled)
     for _ in range(3):
-        found = regularised(equations, dependence, found)
-        modelled = regressors.apply(found.coefficients)
+        fit = regularised(equations, dependence, fit)
+        modelled = regressors.apply(fit.coefficients)
         dependence = residual_dependence(centred - modelled, modelled)
-        if 1.0 / _REFIT < dependence / found.dependence < _REFIT:
+        if 1.0 / _REFIT < dependence / fit.dependence < _REFIT:
             break
-    assert found is not None
-    return found
+    assert fit is not None
+    return fit
 
 
 def residual_dependence(residual: Array, modelled: Array) -> float:
@@ -170,14 +170,14 @@ def residual_dependence(residual: Array, modelled: Array) -> float:
     (rows,). Spectra are smoothed by a Bartlett window over a tenth of the rows.
     """
     longest = max(1, residual.size // _BLOCKS)
-    found = []
+    correlations = []
     for signal in (residual, modelled):
         correlation = Correlator(signal - signal.mean(), longest).auto()
         if correlation[0] <= 0.0:
             return 1.0
-        found.append(correlation / correlation[0])
+        correlations.append(correlation / correlation[0])
     weight = 1.0 - np.arange(longest) / longest
-    return max(1.0, 2.0 * float(np.sum(weight * found[0] * found[1])) - 1.0)
+    return max(1.0, 2.0 * float(np.sum(weight * correlations[0] * correlations[1])) - 1.0)
 
 
 def roughness(kernel2: Array) -> float:
@@ -241,11 +241,11 @@ class _Evidence:
             hyper += [scale, 0.5 * decay, rate, 0.5 * decay, rate]
         return np.asarray(np.log(hyper), dtype=np.float64)
 
-    def hyper_of(self, found: RegularisedKernels) -> Array:
+    def hyper_of(self, fit: RegularisedKernels) -> Array:
         """Return the hyperparameters of a result in the scaling of this search."""
-        hyper = np.array(list(found.hyperparameters.values()))
+        hyper = np.array(list(fit.hyperparameters.values()))
         scales = [k for k in _SCALES if k < hyper.size]
-        hyper[scales] = hyper[scales] ** 2 / (found.dependence * found.noise_variance)
+        hyper[scales] = hyper[scales] ** 2 / (fit.dependence * fit.noise_variance)
         return np.asarray(np.log(hyper), dtype=np.float64)
 
     def search(self, begin: Array) -> Array:
@@ -263,7 +263,7 @@ class _Evidence:
         hyper = np.clip(begin, low, high)
         for _ in range(_SEARCHES):
             reach = hyper + _LARGEST_STEP[: hyper.size]
-            found = optimize.minimize(
+            minimum = optimize.minimize(
                 self._deviance,
                 hyper,
                 args=(self._informative_directions(reach),),
@@ -272,7 +272,7 @@ class _Evidence:
                 bounds=bounds,
                 options={"maxiter": _SEARCH_STEPS, "ftol": _TOLERANCE},
             )
-            hyper = np.asarray(found.x, dtype=np.float64)
+            hyper = np.asarray(minimum.x, dtype=np.float64)
             if np.all((hyper - reach) * _LARGEST_STEP[: hyper.size] <= 0.0):
                 break
         return hyper
@@ -309,12 +309,12 @@ class _Evidence:
         noise = power / (self.dependence * self._independent)
         density = self.dependence * noise
         kernels = spread @ weights
-        known = linalg.solve_triangular(factor, spread.T, lower=True, check_finite=False)
+        whitened = linalg.solve_triangular(factor, spread.T, lower=True, check_finite=False)
         prior = self._prior_variance(hyper)
-        variance = np.maximum(prior - np.einsum("ij,ij->j", known, known), 0.0)
-        mean_known = known @ self._means
+        variance = np.maximum(prior - np.einsum("ij,ij->j", whitened, whitened), 0.0)
+        whitened_mean = whitened @ self._means
         mean_variance = 1.0 / self._rows + float(self._means @ self._prior_times(hyper, self._means[:, None])[:, 0])
-        mean_variance -= float(mean_known @ mean_known)
+        mean_variance -= float(whitened_mean @ whitened_mean)
         half = linalg.solve_triangular(factor, np.eye(factor.shape[0]), lower=True, check_finite=False)
         logarithms = float(np.sum(np.log(np.diag(factor))))
         evidence = -0.5 * self._independent * (np.log(2.0 * np.pi * noise) + 1.0) - logarithms
@@ -347,8 +347,8 @@ class _Evidence:
         return np.concatenate([first, self._second.variance(hyper[FIRST:])])
 
     def _unexplained(self, data: _DataTerms, weights: Array) -> float:
-        left = self._power - float(data.output @ (data.output - weights))
-        return float(max(left, _EXPLAINED * self._power))
+        power = self._power - float(data.output @ (data.output - weights))
+        return float(max(power, _EXPLAINED * self._power))
 
 
 def _solve(data: _DataTerms, spread: Array) -> tuple[Array, Array]:

@@ -263,17 +263,17 @@ class VolterraRegressors:
     def _place(self) -> NDArray[np.intp]:
         """Index of each coefficient (M,) in the columns ordered by channel."""
         starts = 1 + np.concatenate([[0], np.cumsum(self._lagged.lags)[:-1]])
-        place = [np.arange(1 + self.lags)]
+        indices = [np.arange(1 + self.lags)]
         channel = 1
         for degree in range(2, self.order + 1):
             lags = np.array(list(combinations_with_replacement(range(self.lags), degree)))  # (columns, degree)
             delays = lags[:, 1:] - lags[:, :1]
-            known = list(combinations_with_replacement(range(self.lags), degree - 1))
-            number = {some: channel + k for k, some in enumerate(known)}
+            delay_sets = list(combinations_with_replacement(range(self.lags), degree - 1))
+            number = {some: channel + k for k, some in enumerate(delay_sets)}
             of = np.array([number[tuple(row)] for row in delays.tolist()])
-            place.append(starts[of] + lags[:, 0])
-            channel += len(known)
-        return np.concatenate(place)
+            indices.append(starts[of] + lags[:, 0])
+            channel += len(delay_sets)
+        return np.concatenate(indices)
 
 
 def lagged_inputs(x: Array, rows: NDArray[np.intp], lags: int, spacing: int) -> Array:

@@ -339,7 +339,7 @@ def _bands(
     truths["lnl"] = truths["wiener"]  # the sum of its slices is the first-order kernel as well
     bands = dict.fromkeys(names, 1.0)
     for width in widths:
-        found: dict[str, list[float]] = {name: [] for name in names}
+        scores: dict[str, list[float]] = {name: [] for name in names}
         for _ in range(_DRAWS):
             error2 = std2 * _field(rng, (lags, lags), width)
             error2 = np.triu(error2) + np.triu(error2, 1).T
@@ -349,13 +349,13 @@ def _bands(
             for name in names:
                 noisy2 = truths[name] + error2
                 if name == "wiener":
-                    found[name].append(_wiener(noisy1, noisy2))
+                    scores[name].append(_wiener(noisy1, noisy2))
                 elif name == "hammerstein":
-                    found[name].append(_hammerstein(noisy1, noisy2))
+                    scores[name].append(_hammerstein(noisy1, noisy2))
                 elif noisy1 is not None:
-                    found[name].append(_cosine(noisy2.sum(axis=0), noisy1))
+                    scores[name].append(_cosine(noisy2.sum(axis=0), noisy1))
         for name in names:
-            bands[name] = min(bands[name], float(np.quantile(found[name], _LEVEL)) - _TOLERANCE)
+            bands[name] = min(bands[name], float(np.quantile(scores[name], _LEVEL)) - _TOLERANCE)
     return bands
 
 
