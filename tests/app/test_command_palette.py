@@ -17,7 +17,7 @@ def open_palette(qtbot, window):
     qtbot.keyClick(window.focusWidget() or window, Qt.Key.Key_K, CONTROL)
     palette = window.commands
     assert palette.isVisible()
-    assert palette.words.hasFocus()
+    assert palette.search.hasFocus()
     return palette
 
 
@@ -33,9 +33,9 @@ def window(fresh_window):
 def test_a_page_is_found_by_a_word_and_shown_by_return(qtbot, window):
     window.ui.form.subject.setFocus()
     palette = open_palette(qtbot, window)
-    qtbot.keyClicks(palette.words, "page gap")
+    qtbot.keyClicks(palette.search, "page gap")
     assert [text.split("  ")[0] for text in listed(palette)] == ["Page Gap"]
-    qtbot.keyClick(palette.words, Qt.Key.Key_Return)
+    qtbot.keyClick(palette.search, Qt.Key.Key_Return)
     assert window.ui.page == "gap"
     assert palette.isHidden()
 
@@ -43,14 +43,14 @@ def test_a_page_is_found_by_a_word_and_shown_by_return(qtbot, window):
 def test_it_speaks_the_language_of_the_window(qtbot, open_window):
     window = open_window(language="de")
     palette = open_palette(qtbot, window)
-    qtbot.keyClicks(palette.words, "forsch")
+    qtbot.keyClicks(palette.search, "forsch")
     assert palette.chosen.title == "Seite Forschung"
 
 
 def test_escape_closes_it_and_gives_the_keyboard_back(qtbot, window):
     window.ui.form.subject.setFocus()
     palette = open_palette(qtbot, window)
-    qtbot.keyClick(palette.words, Qt.Key.Key_Escape)
+    qtbot.keyClick(palette.search, Qt.Key.Key_Escape)
     assert palette.isHidden()
     assert window.ui.form.subject.hasFocus()
     assert not window.ui.notice.isVisible()
@@ -59,23 +59,23 @@ def test_escape_closes_it_and_gives_the_keyboard_back(qtbot, window):
 def test_the_arrow_keys_choose_among_what_is_possible(qtbot, window):
     palette = open_palette(qtbot, window)
     first = palette.chosen.title
-    qtbot.keyClick(palette.words, Qt.Key.Key_Down)
+    qtbot.keyClick(palette.search, Qt.Key.Key_Down)
     assert palette.chosen.title != first
-    qtbot.keyClick(palette.words, Qt.Key.Key_Up)
+    qtbot.keyClick(palette.search, Qt.Key.Key_Up)
     assert palette.chosen.title == first
     for _ in range(20):
-        qtbot.keyClick(palette.words, Qt.Key.Key_PageDown)
+        qtbot.keyClick(palette.search, Qt.Key.Key_PageDown)
     assert palette.chosen is not None
     assert not palette.chosen.why_not()
 
 
 def test_what_is_impossible_is_listed_with_the_reason_and_does_nothing(qtbot, window):
     palette = open_palette(qtbot, window)
-    qtbot.keyClicks(palette.words, "stop release")
+    qtbot.keyClicks(palette.search, "stop release")
     assert len(listed(palette)) == 1
     assert shows(listed(palette)[0], "stop.no_test")
     assert palette.chosen is None
-    qtbot.keyClick(palette.words, Qt.Key.Key_Return)
+    qtbot.keyClick(palette.search, Qt.Key.Key_Return)
     assert palette.isVisible()
 
 
@@ -83,9 +83,9 @@ def test_start_leads_to_its_button_and_starts_nothing(qtbot, window):
     type_site(qtbot, window)
     window.pages.show("start")
     palette = open_palette(qtbot, window)
-    qtbot.keyClicks(palette.words, "start test")
+    qtbot.keyClicks(palette.search, "start test")
     assert palette.chosen.energises
-    qtbot.keyClick(palette.words, Qt.Key.Key_Return)
+    qtbot.keyClick(palette.search, Qt.Key.Key_Return)
     assert not window.testing
     assert window.ui.page == "measure"
     assert window.ui.start.hasFocus()
@@ -113,9 +113,9 @@ def test_the_keys_that_stop_do_so_while_it_is_open(qtbot, open_window, bench, ke
     qtbot.waitUntil(gate.reached.is_set, timeout=WAIT_MS)
     palette = open_palette(qtbot, window)
     assert fully_visible(window.ui.stop)
-    qtbot.keyClick(palette.words, key)
+    qtbot.keyClick(palette.search, key)
     assert window.emergency.is_set()
-    assert not palette.words.text()
+    assert not palette.search.text()
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert bench.opened[0].current_run is None
@@ -132,7 +132,7 @@ def test_it_covers_neither_start_nor_stop(qtbot, open_window, language):
         assert fully_visible(window.ui.start), size
         assert fully_visible(window.ui.stop), size
         assert window.rect().adjusted(0, 0, 0, -FRAME).contains(palette.geometry())
-        qtbot.keyClick(palette.words, Qt.Key.Key_Escape)
+        qtbot.keyClick(palette.search, Qt.Key.Key_Escape)
 
 
 def test_titles_and_shortcuts_are_unique(window):

@@ -600,7 +600,7 @@ def test_the_command_palette_fits_and_follows_the_window(in_state, language, sta
         settle()
         check(window)
         assert window.rect().adjusted(0, 0, 0, -FRAME).contains(palette.geometry()), size
-        assert fully_visible(palette.words), size
+        assert fully_visible(palette.search), size
         assert fully_visible(window.ui.stop), size
         assert fully_visible(window.ui.start), size
     palette.toggle()

@@ -90,10 +90,10 @@ def test_a_clinician_is_sent_to_the_technician_who_is_led_to_the_calibration(qtb
     gate.calibration_wanted.connect(lambda: wanted.append(1))
     gate.show_role("clinician")
     gate.show_quality(Quality((UNCALIBRATED,)), can_repeat=True)
-    assert UNCALIBRATED.advice not in " ".join(gate.words)
+    assert UNCALIBRATED.advice not in " ".join(gate.texts)
     assert gate.calibrate.isHidden()
     gate.show_role("technician")
-    assert UNCALIBRATED.advice in " ".join(gate.words)
+    assert UNCALIBRATED.advice in " ".join(gate.texts)
     press(qtbot, gate.calibrate)
     assert wanted == [1]
     gate.show_quality(Quality(()), can_repeat=True)

@@ -57,7 +57,7 @@ def test_the_log_opens_at_its_newest_line(qtbot, open_window):
 def test_the_palette_says_where_nothing_matches(qtbot, open_window):
     window = open_window()
     window.commands.toggle()
-    qtbot.keyClicks(window.commands.words, "xyzzy")
+    qtbot.keyClicks(window.commands.search, "xyzzy")
     item = window.commands.list.item(0)
     assert window.commands.list.count() == 1
     assert item.text()

@@ -236,7 +236,7 @@ def test_the_state_of_the_calibration_stands_beside_the_instrument(
 
 def test_no_calibration_in_words():
     state = calibration_state(DeviceDescription())
-    assert (reads(state.words, "calibration.none"), state.level) == (True, "check")
+    assert (reads(state.summary, "calibration.none"), state.level) == (True, "check")
 
 
 def test_a_test_that_leaves_the_linear_region_is_flagged_while_it_runs_and_afterwards(
@@ -257,7 +257,7 @@ def test_a_test_that_leaves_the_linear_region_is_flagged_while_it_runs_and_after
     gate.opened.set()
     wait_for_result(qtbot, window)
     assert OUTSIDE in signals.position.legend.text()
-    assert any("4.0 to 12.0 mm" in words for words in window.ui.gate.words)
+    assert any("4.0 to 12.0 mm" in words for words in window.ui.gate.texts)
     assert only_session(tmp_path)[1].instrument.calibration["linear_region_max_m"] == 0.012
 
 
@@ -298,8 +298,8 @@ def test_the_light_the_words_and_the_offer(gate, findings, headline, level, agai
     gate.show_quality(Quality(findings), can_repeat=True)
     assert (gate.headline.text(), gate.light.property("level")) == (headline, level)
     assert gate.run_again.isVisibleTo(gate) is again
-    assert gate.words == tuple(f"{finding.words} {finding.advice}" for finding in findings)
-    for line in gate.words:
+    assert gate.texts == tuple(f"{finding.words} {finding.advice}" for finding in findings)
+    for line in gate.texts:
         assert line in gate.accessibleName()
     gate.show_quality(Quality(findings), can_repeat=False)
     assert not gate.run_again.isVisibleTo(gate)
@@ -320,7 +320,7 @@ def test_many_findings_are_unfolded_when_asked_for(qtbot, gate):
 def test_a_test_that_was_never_judged_says_so(gate):
     gate.show_quality(None, can_repeat=True)
     assert gate.headline.text() == "Not judged"
-    assert gate.words == (UNJUDGED,)
+    assert gate.texts == (UNJUDGED,)
     assert not gate.run_again.isVisibleTo(gate)
 
 

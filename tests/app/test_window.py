@@ -142,7 +142,7 @@ def test_stop_in_mid_test_keeps_the_recorded_part(qtbot, open_window, bench, tmp
     gate, result = window.ui.gate, window.ui.result
     findings = [finding.words for finding in window.findings.quality.findings]
     assert codes(findings).count("quality.ended_early") == 1
-    said = " ".join([gate.headline.text(), *gate.words, result.reasons.text(), result.facts.text()])
+    said = " ".join([gate.headline.text(), *gate.texts, result.reasons.text(), result.facts.text()])
     # Once on the page, under one red light, with one button.
     assert said.count(message(findings, "quality.ended_early")) == 1
     assert "ended early" not in said.lower()
@@ -323,7 +323,7 @@ def test_a_stored_test_that_was_never_judged_is_judged_by_a_button(qtbot, window
     window.open_session(path)
     wait_for_result(qtbot, window)
     gate = window.ui.gate
-    assert gate.words == (UNJUDGED,)
+    assert gate.texts == (UNJUDGED,)
     assert "'" not in UNJUDGED
     press(qtbot, gate.judge_now)
     qtbot.waitUntil(lambda: idle(window) and window.findings.quality is not None, timeout=WAIT_MS)
@@ -442,15 +442,17 @@ def test_the_list_of_instruments_shows_names_and_accepted_twins(qtbot, open_wind
     (tmp_path / "my twin.toml").unlink()
     chooser.choose("simulated://forearm")
     window.pages.show("measure")
-    assert url not in chooser.known
+    assert url not in chooser.states
 
 
 def test_finding_says_which_instrument_answers():
     ready = [FoundInstrument(f"/dev/{name}", "serial port", True, name=f"indenter, {name}") for name in ("A1", "B2")]
     simulated = FoundInstrument("simulated://spring", "simulation in this process", True, name="simulation, spring")
-    assert begins(Survey([ready[0], simulated]).words, "instruments.one_answers", names="indenter, A1")
-    assert begins(Survey([*ready, simulated]).words, "instruments.answer", count=2, names="indenter, A1; indenter, B2")
-    assert begins(Survey([simulated]).words, "instruments.none_answers")
+    assert begins(Survey([ready[0], simulated]).summary, "instruments.one_answers", names="indenter, A1")
+    assert begins(
+        Survey([*ready, simulated]).summary, "instruments.answer", count=2, names="indenter, A1; indenter, B2"
+    )
+    assert begins(Survey([simulated]).summary, "instruments.none_answers")
 
 
 def test_a_system_that_cannot_list_its_ports_still_has_typed_addresses(qtbot, open_window):

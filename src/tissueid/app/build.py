@@ -242,9 +242,9 @@ def splitter(
     """Return parts, each with its stretch, next to each other or ``upright`` below each other, with movable borders."""
     made = made or QSplitter(Qt.Orientation.Vertical if upright else Qt.Orientation.Horizontal)
     made.setChildrenCollapsible(False)
-    for place, (part, stretch) in enumerate(parts):
+    for index, (part, stretch) in enumerate(parts):
         made.addWidget(part)
-        made.setStretchFactor(place, stretch)
+        made.setStretchFactor(index, stretch)
     if sizes:
         made.setSizes(list(sizes))
     return made
@@ -331,10 +331,10 @@ def restore_tab(pages: QTabWidget, kept: object) -> None:
 def tiles(columns: int, *parts: QWidget, stretch_rows: bool = False, **properties: Any) -> QGridLayout:
     """Return parts in rows of so many columns of equal width, of equal height too with ``stretch_rows``."""
     made = styled(QGridLayout(), **({"spacing": 6, "contents_margins": (0, 0, 0, 0)} | properties))
-    for place, part in enumerate(parts):
-        made.addWidget(part, place // columns, place % columns)
-        made.setColumnStretch(place % columns, 1)
-        made.setRowStretch(place // columns, int(stretch_rows))
+    for index, part in enumerate(parts):
+        made.addWidget(part, index // columns, index % columns)
+        made.setColumnStretch(index % columns, 1)
+        made.setRowStretch(index // columns, int(stretch_rows))
     return made
 
 

@@ -295,11 +295,11 @@ class CalibrationController(QObject):
         if outcome.nominal is not None:
             self._context.state.instrument_answered.emit(self._url, outcome.nominal)
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         notices = [] if self._prompts is None else [sentence(translated(line)) for line in self._prompts.notices]
         self._close()
         self._page.clear()
-        self._notice.say(" ".join([words, *notices]), problem=True, page=MEASURE)
+        self._notice.say(" ".join([message, *notices]), problem=True, page=MEASURE)
 
     def _close(self) -> None:
         self._end_energised()

@@ -255,11 +255,11 @@ class CalibrationPage(QWidget):
     # -- building -----------------------------------------------------------------------------------------
 
     def _make_choice(self, kind: Kind) -> QFrame:
-        title, words, begin = (_(text) for text in _KINDS[kind])
+        title, description, begin = (_(text) for text in _KINDS[kind])
         card = build.styled(QFrame(), role="card")
         heading = build.styled(QLabel(title), role="headline")
         about = build.styled(
-            QLabel(words), role="muted", word_wrap=True, minimum_width=1, alignment=Qt.AlignmentFlag.AlignTop
+            QLabel(description), role="muted", word_wrap=True, minimum_width=1, alignment=Qt.AlignmentFlag.AlignTop
         )
         button = QPushButton(begin)
         button.clicked.connect(lambda: self.begun.emit(kind))

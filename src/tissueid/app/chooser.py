@@ -93,21 +93,21 @@ class InstrumentChooser(QWidget):
         else:
             self.choice.setEditText(url)
 
-    def offer(self, found: Sequence[FoundInstrument]) -> None:
+    def offer(self, instruments: Sequence[FoundInstrument]) -> None:
         """Replace the list; the chosen or typed address stays."""
         kept = self.url or DEFAULT_URL
-        self._found = {item.url: item for item in found}
-        self._doubted &= {item.url for item in found if item.answers is None}
+        self._found = {item.url: item for item in instruments}
+        self._doubted &= {item.url for item in instruments if item.answers is None}
         self.choice.blockSignals(True)
         self.choice.clear()
-        for place, (url, item) in enumerate(self._found.items()):
+        for index, (url, item) in enumerate(self._found.items()):
             self.choice.addItem(url)
             shown = clean(f"{_name(item)}: {url}")
-            self.choice.setItemData(place, shown, _SHOWN)
-            self.choice.setItemData(place, shown, Qt.ItemDataRole.AccessibleTextRole)
-            self.choice.setItemData(place, shown, Qt.ItemDataRole.ToolTipRole)
+            self.choice.setItemData(index, shown, _SHOWN)
+            self.choice.setItemData(index, shown, Qt.ItemDataRole.AccessibleTextRole)
+            self.choice.setItemData(index, shown, Qt.ItemDataRole.ToolTipRole)
         letters = self.choice.fontMetrics()
-        texts = [str(self.choice.itemData(place, _SHOWN)) for place in range(self.choice.count())]
+        texts = [str(self.choice.itemData(index, _SHOWN)) for index in range(self.choice.count())]
         widths = [letters.horizontalAdvance(text) for text in texts]
         self.choice.view().setMinimumWidth(min(max(widths, default=0) + _MARGIN, _WIDEST))
         self.choice.blockSignals(False)
@@ -141,7 +141,7 @@ class InstrumentChooser(QWidget):
             self._describe()
 
     @property
-    def known(self) -> dict[str, tuple[str, CalibrationState]]:
+    def states(self) -> dict[str, tuple[str, CalibrationState]]:
         """State, a message, and calibration of the chosen and each listed instrument, by address."""
         urls = dict.fromkeys([*([] if self.url in self._found else [self.url]), *self._found])
         return {url: (self._health(url), self.calibration_of(url)) for url in urls if url}
@@ -176,11 +176,11 @@ class InstrumentChooser(QWidget):
 
     def _describe_calibration(self) -> None:
         state = self.calibration_of(self.url)
-        self.calibration.setText(_(state.words))
+        self.calibration.setText(_(state.summary))
         build.restyle(
             self.calibration,
             tip="\n".join(state.warnings),
-            name=" ".join([_(state.words), *state.warnings]),
+            name=" ".join([_(state.summary), *state.warnings]),
             level=state.level,
         )
         self.described.emit()

@@ -60,12 +60,12 @@ def write_paper(findings: Findings, standing: Standing | None, comparison: Sitti
         names = [label_and_unit(name) for name in QUANTITIES]
         columns = (_("Sitting"), *(f"{_(name)} ({display_unit(unit)[0]})" for name, unit in names))
         lines = []
-        for one in comparison.sightings:
+        for sighting in comparison.sightings:
             texts = [
-                _text(one.values.get(name), display_unit(unit)[1])
+                _text(sighting.values.get(name), display_unit(unit)[1])
                 for name, (_, unit) in zip(QUANTITIES, names, strict=True)
             ]
-            lines.append((f"{_(THIS)} {one.label}" if one.this else one.label, *texts))
+            lines.append((f"{_(THIS)} {sighting.label}" if sighting.this else sighting.label, *texts))
         heading = _("The subject's other sites and sittings")
         if comparison.remark:
             heading = _("The subject's other sites and sittings († another instrument)")
@@ -82,8 +82,8 @@ def _result(standing: Standing) -> tuple[Table, tuple[str, ...]]:
     return (standing.heading, heads, rows), tuple(filter(None, [standing.tests, standing.remark]))
 
 
-def _text(found: Estimate | None, scale: float) -> str:
-    return MISSING if found is None else plus_minus(found, scale)
+def _text(estimate: Estimate | None, scale: float) -> str:
+    return MISSING if estimate is None else plus_minus(estimate, scale)
 
 
 def _shown(path: Path, *, opened: bool) -> Message:
@@ -239,10 +239,10 @@ class Clinician(QObject):
         if (sitting := self._shown_sitting) is not None and self._found is not None and len(sitting.repeats) > 1:
             self._ui.result.offer_repeats([repeat.path for repeat in sitting.repeats], self._found.path)
 
-    def _show_repeat(self, place: int) -> None:
+    def _show_repeat(self, index: int) -> None:
         sitting = self._shown_sitting
-        if sitting is not None and not self._context.busy and sitting.repeats[place].findings is not None:
-            self.findings_wanted.emit(sitting.repeats[place].findings)
+        if sitting is not None and not self._context.busy and sitting.repeats[index].findings is not None:
+            self.findings_wanted.emit(sitting.repeats[index].findings)
 
     @property
     def _shown_sitting(self) -> Sitting | None:
@@ -348,20 +348,29 @@ class Clinician(QObject):
             return
         self._comparison, self._paper = comparison, None
         self._ui.result.comparison.show_comparison(comparison)
-        self._ui.result.show_changes({name: translated(words) for name, words in comparison.changes.items()})
+        self._ui.result.show_changes({name: translated(change) for name, change in comparison.changes.items()})
 
-    def _not_compared(self, words: str) -> None:
+    def _not_compared(self, message: str) -> None:
         self._ui.result.comparison.clear()
-        self._ui.notice.say(words, problem=True, page=MEASURE)
+        self._ui.notice.say(message, problem=True, page=MEASURE)
 
     def _finished(self, result: AcceptedResult) -> None:
-        found = self._found
-        sitting = next((one for one in (self.sitting, self._reopened) if one and one.key == result.sitting), None)
+        findings = self._found
+        sitting = next(
+            (
+                candidate
+                for candidate in (self.sitting, self._reopened)
+                if candidate and candidate.key == result.sitting
+            ),
+            None,
+        )
         if sitting is None:
             return
         sitting.result, self._accepted = result, self._by_hand
         newest = sitting.counting[-1].findings
-        if newest is not None and (found is None or not result.holds(found.session.session_id, found.test.number)):
+        if newest is not None and (
+            findings is None or not result.holds(findings.session.session_id, findings.test.number)
+        ):
             self.findings_wanted.emit(newest)
         else:
             self._show_sitting()
@@ -391,6 +400,6 @@ class Clinician(QObject):
         self._context.show_idle()
         self._context.show_file(path)
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         self._context.show_idle()
-        self._ui.notice.say(words, problem=True, page=MEASURE)
+        self._ui.notice.say(message, problem=True, page=MEASURE)

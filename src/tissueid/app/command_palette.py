@@ -65,9 +65,9 @@ def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[
     for chooser in pages.start.choosers:
         choice = chooser.choice
         own += [
-            PaletteEntry(f"{chooser.name}: {choice.itemText(place)}", partial(choice.setCurrentIndex, place))
-            for place in range(choice.count())
-            if place != choice.currentIndex()
+            PaletteEntry(f"{chooser.name}: {choice.itemText(index)}", partial(choice.setCurrentIndex, index))
+            for index in range(choice.count())
+            if index != choice.currentIndex()
         ]
     own += [_by_button(pages, MEASURE, button, energises=True) for button in ui.energising]
     own += [_by_button(pages, MEASURE, button) for button in ui.harmless]
@@ -145,7 +145,7 @@ _STEPS = {Qt.Key.Key_Up: -1, Qt.Key.Key_Down: 1, Qt.Key.Key_PageUp: -8, Qt.Key.K
 class _Words(QLineEdit):
     """Takes Escape before it is a shortcut, and passes on the keys that choose."""
 
-    left = Signal()
+    escaped = Signal()
     pressed = Signal(int)
 
     def event(self, event: QEvent) -> bool:
@@ -171,7 +171,7 @@ class _Words(QLineEdit):
         """Say that something else is used now."""
         super().focusOutEvent(event)
         if event.reason() not in (Qt.FocusReason.PopupFocusReason, Qt.FocusReason.ActiveWindowFocusReason):
-            self.left.emit()
+            self.escaped.emit()
 
 
 class CommandPalette(QFrame):
@@ -186,9 +186,9 @@ class CommandPalette(QFrame):
         self._before: QWidget | None = None
         self._actions: tuple[PaletteEntry, ...] = ()
         build.styled(self, role="card", auto_fill_background=True)
-        self.words = _Words()
+        self.search = _Words()
         build.styled(
-            self.words, max_length=100, placeholder_text=_("What do you want to do?"), name=_("Search all actions")
+            self.search, max_length=100, placeholder_text=_("What do you want to do?"), name=_("Search all actions")
         )
         self.list = build.styled(
             QListWidget(),
@@ -197,10 +197,10 @@ class CommandPalette(QFrame):
             horizontal_scroll_bar_policy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
             text_elide_mode=Qt.TextElideMode.ElideRight,
         )
-        build.column(self.words, (self.list, 1), margins=(8,), parent=self)
-        self.words.textChanged.connect(self._fill)
-        self.words.pressed.connect(self._take_key)
-        self.words.left.connect(self.hide)
+        build.column(self.search, (self.list, 1), margins=(8,), parent=self)
+        self.search.textChanged.connect(self._fill)
+        self.search.pressed.connect(self._take_key)
+        self.search.escaped.connect(self.hide)
         self.list.itemClicked.connect(self._run)
         build.shortcut(window, PALETTE_KEY, self.toggle, Qt.ShortcutContext.WindowShortcut)
         window.installEventFilter(self)
@@ -214,11 +214,11 @@ class CommandPalette(QFrame):
         self._before = QApplication.focusWidget()
         self._actions = self._declare()
         self._place()
-        self.words.clear()
+        self.search.clear()
         self._fill("")
         self.show()
         self.raise_()
-        self.words.setFocus()
+        self.search.setFocus()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
         """Stay in the middle of the window when its size changes."""
@@ -246,13 +246,13 @@ class CommandPalette(QFrame):
     def _fill(self, text: str) -> None:
         """List what has every word; what is possible comes first."""
         wanted = text.casefold().split()
-        found = [
+        matches = [
             (action.why_not(), action)
             for action in self._actions
             if action.offered() and all(word in f"{action.title} {action.keys}".casefold() for word in wanted)
         ]
         self.list.clear()
-        for why_not, action in sorted(found, key=lambda entry: bool(entry[0])):
+        for why_not, action in sorted(matches, key=lambda entry: bool(entry[0])):
             after = why_not or (_("goes to its button") if action.energises else action.keys)
             item = QListWidgetItem(f"{action.title}   –   {after}" if after else action.title)
             item.setToolTip(item.text().replace("<", "‹").replace(">", "›"))
@@ -271,10 +271,10 @@ class CommandPalette(QFrame):
         """Go up or down among what is possible."""
         possible = [row for row in range(self.list.count()) if self.list.item(row).flags() & Qt.ItemFlag.ItemIsEnabled]
         row = self.list.currentRow()
-        place = possible.index(row) + by if row in possible else 0
-        self.list.setCurrentRow(possible[min(max(place, 0), len(possible) - 1)] if possible else -1)
+        index = possible.index(row) + by if row in possible else 0
+        self.list.setCurrentRow(possible[min(max(index, 0), len(possible) - 1)] if possible else -1)
         item = self.list.currentItem()
-        self.words.setAccessibleDescription("" if item is None else item.text())
+        self.search.setAccessibleDescription("" if item is None else item.text())
 
     def _take_key(self, key: int) -> None:
         step = _STEPS.get(Qt.Key(key))

@@ -190,10 +190,10 @@ class AppContext:
 
         self.jobs.do(run, done, failed, why=why, long=True)
 
-    def say_failed(self, words: str) -> None:
+    def say_failed(self, message: str) -> None:
         """Show the error of a failed job, and what the window shows while nothing goes on."""
         self.show_idle()
-        self.say(words, problem=True)
+        self.say(message, problem=True)
 
 
 class View(QWidget):

@@ -33,14 +33,14 @@ _MOST_NAMED = 4
 class Survey:
     """Found instruments, and calibration and maximum force, N, of those that answered, by address."""
 
-    found: Sequence[FoundInstrument]
+    instruments: Sequence[FoundInstrument]
     calibrations: dict[str, CalibrationState] = field(default_factory=dict)
     forces_n: dict[str, float] = field(default_factory=dict)
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """Number and names of the instruments that answer."""
-        answering = [item for item in self.found if item.answers is True and not item.url.startswith(IN_PROCESS)]
+        answering = [item for item in self.instruments if item.answers is True and not item.url.startswith(IN_PROCESS)]
         names = "; ".join(clean(translated(item.name or item.what)) for item in answering[:_MOST_NAMED])
         if len(answering) > 1:
             what = Message(
@@ -109,26 +109,26 @@ class DeviceSearch(QObject):
         """List the twins in the folder of sessions."""
         self._chooser.offer_twins(twins_in(self._context.services.folder))
 
-    def _found(self, found: Survey) -> None:
-        self._chooser.offer(found.found)
+    def _found(self, survey: Survey) -> None:
+        self._chooser.offer(survey.instruments)
         self.list_twins()
-        for url, state in found.calibrations.items():
+        for url, state in survey.calibrations.items():
             self._chooser.tell_calibration(url, state)
-        for url, force_n in found.forces_n.items():
+        for url, force_n in survey.forces_n.items():
             self._form.tell_force(url, force_n)
-        self._notice.say(found.words)
+        self._notice.say(survey.summary)
 
-    def _finding_failed(self, words: str) -> None:
+    def _finding_failed(self, message: str) -> None:
         self._chooser.offer([])
-        self._notice.say(words, problem=True)
+        self._notice.say(message, problem=True)
 
     def offer_recovery(self) -> None:
         """Offer to recover unfinished tests, if there are any."""
         folder = self._context.services.folder
-        found = unfinished_journals(folder)
-        if found:
-            count = len(found)
-            names = ", ".join(path.name.removesuffix(".journal") for path in found[:3])
+        journals = unfinished_journals(folder)
+        if journals:
+            count = len(journals)
+            names = ", ".join(path.name.removesuffix(".journal") for path in journals[:3])
             self._notice.say(
                 plural(
                     "An unfinished test was found in {folder}: {names}.",
@@ -147,11 +147,11 @@ class DeviceSearch(QObject):
 
     def _recovered(self, recovery: tuple[list[RecoveredSession], list[str]]) -> None:
         sessions, problems = recovery
-        saved = [_("Recovered {path}.").format(path=one.path) for one in sessions]
-        words = " ".join(saved + problems) or _("There is nothing left to recover.")
-        self._notice.say(words, problem=bool(problems), page=MEASURE)
+        saved = [_("Recovered {path}.").format(path=recovered.path) for recovered in sessions]
+        message = " ".join(saved + problems) or _("There is nothing left to recover.")
+        self._notice.say(message, problem=bool(problems), page=MEASURE)
         if sessions:
-            self.recovered.emit([(one.path, one.session) for one in sessions])
+            self.recovered.emit([(recovered.path, recovered.session) for recovered in sessions])
 
 
 def recover_all(folder: Path, trail: AuditTrail) -> tuple[list[RecoveredSession], list[str]]:

@@ -29,14 +29,15 @@ LONGEST = 80
 class Number:
     """One number as text, with its deviation and unit; ``note`` says what it refers to.
 
-    ``found`` is the same in SI, of ``si_unit``, where it has a unit that can be chosen. ``quantity`` names a parameter.
+    ``estimate`` is the same in SI, of ``si_unit``, where it has a unit that can be chosen.
+    ``quantity`` names a parameter.
     """
 
     label: str
     value: str
     unit: str
     note: str
-    found: Estimate | None = None
+    estimate: Estimate | None = None
     si_unit: str = ""
     quantity: str = ""
 

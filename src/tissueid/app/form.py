@@ -322,8 +322,8 @@ class PlanForm(QWidget):
         self.settings = QWidget()
         rows = grid()
         fill(QVBoxLayout(self.settings), self.stimulus, rows)
-        for place, field in enumerate(self.options.values()):
-            field.place(rows, place, word_wrap=False)
+        for index, field in enumerate(self.options.values()):
+            field.place(rows, index, word_wrap=False)
             field.edited.connect(self._summarise)
             field.edited.connect(self.changed)
         layout.addLayout(column(self.stimulus.depths, self.fold, self.summary, self.settings, spacing=4))
@@ -377,9 +377,9 @@ class PlanForm(QWidget):
         model = self.preset.model()
         assert isinstance(model, QStandardItemModel)
         reasons = [translated(why) if (why := preset.why_not(most_n)) else "" for preset in PRESETS]
-        for place, reason in enumerate(reasons):
-            model.item(place).setEnabled(not reason)
-            self.preset.setItemData(place, reason, Qt.ItemDataRole.ToolTipRole)
+        for index, reason in enumerate(reasons):
+            model.item(index).setEnabled(not reason)
+            self.preset.setItemData(index, reason, Qt.ItemDataRole.ToolTipRole)
         self.not_offered.setText("\n".join(filter(None, reasons)))
         self.not_offered.setVisible(any(reasons))
 
@@ -434,9 +434,9 @@ class PlanForm(QWidget):
             return
         if self.stimulus.chosen != Noise.name:
             title = self.stimulus.kind.currentText()
-            words = _("{title}, {low:g} to {high:g} N").format(title=title, low=low, high=high)
-            words = words if "force_max_n" in has else title
-            self._show_summary(f"{words}, {seconds:g} s" if "seconds" in has else words)
+            summary = _("{title}, {low:g} to {high:g} N").format(title=title, low=low, high=high)
+            summary = summary if "force_max_n" in has else title
+            self._show_summary(f"{summary}, {seconds:g} s" if "seconds" in has else summary)
             return
         distribution = self.stimulus.controls["distribution"].text
         self._show_summary(
@@ -453,11 +453,11 @@ class PlanForm(QWidget):
             )
         )
 
-    def _show_summary(self, words: str) -> None:
+    def _show_summary(self, summary: str) -> None:
         kind = self.options["kind"]
         under = "" if kind.isHidden() or kind.value() is None else kind.text
         self.summary.setText(
-            _("{words}; under the probe: {under}").format(words=words, under=under) if under else words
+            _("{words}; under the probe: {under}").format(words=summary, under=under) if under else summary
         )
 
     def _look_at_subject(self, text: str) -> None:

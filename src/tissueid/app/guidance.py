@@ -36,8 +36,8 @@ def contact_in_test(snapshot: Snapshot, device: DeviceDescription) -> Contact:
     newest = snapshot.time_s[-1:] - RECENT_S
     position = finite(snapshot.position_m[snapshot.time_s >= newest]) if newest.size else np.zeros(0)
     if snapshot.phase is Phase.PLACE:
-        found = contact_at(position, device.stroke_m) if position.size else Contact.FINDING
-        return Contact.FINDING if found is Contact.MOVING else found
+        contact = contact_at(position, device.stroke_m) if position.size else Contact.FINDING
+        return Contact.FINDING if contact is Contact.MOVING else contact
     safety = snapshot.safety
     if safety is None or safety.contact is None:
         return Contact.FINDING
@@ -56,10 +56,10 @@ class ContactLamp(QWidget):
         self.contact: Contact | None = None
         self.light = QLabel("●")
         self.light.setStyleSheet("font-size: 24pt;")
-        self.words = QLabel()
-        for part in (self.light, self.words):
+        self.caption = QLabel()
+        for part in (self.light, self.caption):
             styled(part, role="headline", text_format=Qt.TextFormat.PlainText)
-        styled(self.words, word_wrap=True, minimum_width=1)
+        styled(self.caption, word_wrap=True, minimum_width=1)
         self.watch = button(
             _("Watch contact"), checkable=True, tip=_("Read the instrument before the test; its coil stays free")
         )
@@ -68,26 +68,26 @@ class ContactLamp(QWidget):
             tip=_("Press the button and let go of it: the test starts. During the test it stops."),
             hidden=True,
         )
-        row(self.light, (self.words, 1), self.arm, self.watch, spacing=8, parent=self)
+        row(self.light, (self.caption, 1), self.arm, self.watch, spacing=8, parent=self)
         self.setMinimumHeight(34)
         self.show_contact(Contact.UNWATCHED)
 
     def quiet(self, on: bool) -> None:
         """Hide the text after a test: the instruction next to the lamp is sufficient."""
         self.light.setVisible(not on)
-        self.words.setVisible(not on)
+        self.caption.setVisible(not on)
 
     def show_contact(self, contact: Contact) -> None:
         """Show how the probe stands."""
         if contact is self.contact:
             return
         self.contact = contact
-        self.words.setText(_(contact.value))
-        self.words.setAccessibleName(_("Contact: {words}").format(words=_(contact.value)))
-        for part in (self.light, self.words):
+        self.caption.setText(_(contact.value))
+        self.caption.setAccessibleName(_("Contact: {words}").format(words=_(contact.value)))
+        for part in (self.light, self.caption):
             restyle(part, role="muted" if contact is Contact.UNWATCHED else "headline", level=contact.level)
         if contact.level:
-            QAccessible.updateAccessibility(QAccessibleEvent(self.words, QAccessible.Event.NameChanged))
+            QAccessible.updateAccessibility(QAccessibleEvent(self.caption, QAccessible.Event.NameChanged))
 
 
 _LOOK_MS = 80
@@ -193,11 +193,11 @@ class Watcher(QObject):
         if watched.too_long:
             self._notice.say(_("Contact is no longer watched: that went on for three minutes."), page=MEASURE)
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         self._close()
         self._start_next = False
         self._form.instrument.doubt(self._url)
-        self._notice.say(words, problem=True, page=MEASURE)
+        self._notice.say(message, problem=True, page=MEASURE)
 
     def _close(self) -> None:
         self._looks.stop()
@@ -293,8 +293,8 @@ class Guidance(QFrame):
             return
         self.phase = now
         order = list(self._labels)
-        for place, (phase, part) in enumerate(self._labels.items()):
-            state = "todo" if now is None or place > order.index(now) else "now" if phase is now else "done"
+        for index, (phase, part) in enumerate(self._labels.items()):
+            state = "todo" if now is None or index > order.index(now) else "now" if phase is now else "done"
             if now is Phase.RELEASE:
                 state = "done"
             restyle(part, state=state, name=f"{_(_NAMES[phase])}: {_(_STATES[state])}")

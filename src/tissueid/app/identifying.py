@@ -76,14 +76,14 @@ def _readings(test: Test) -> str:
     if test.kind != STEP_KIND:
         return ""
     try:
-        found = recorded_readings(test)
+        readings = recorded_readings(test)
     except UnusableInputError as error:
         return sentence(translated(error.message))
     shown = []
-    for one in (*found.step, *found.decay):
-        if one.definition.symbol in _SHOWN_READINGS and one.estimate is not None:
-            unit, scale = display_unit(one.definition.si_unit)
-            shown.append(f"{one.definition.symbol} {plus_minus(one.estimate, scale)} {unit}".rstrip())
+    for reading in (*readings.step, *readings.decay):
+        if reading.definition.symbol in _SHOWN_READINGS and reading.estimate is not None:
+            unit, scale = display_unit(reading.definition.si_unit)
+            shown.append(f"{reading.definition.symbol} {plus_minus(reading.estimate, scale)} {unit}".rstrip())
     return "\n".join(
         [
             _("Readings for comparison with other probes: {readings}.").format(readings="; ".join(shown)),

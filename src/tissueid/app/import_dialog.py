@@ -121,15 +121,15 @@ def _preview_of(paths: Sequence[Path], decimal: str | None) -> Preview:
     except UnusableInputError as error:  # a short record, or variables of different lengths
         if error.code == "import.thousands":
             raise
-        values = [file.load([place], RowRange())[0][0] for place in places]
+        values = [file.load([index], RowRange())[0][0] for index in places]
     columns = []
     taken: set[str] = set()
-    for place, numbers in zip(places, values, strict=True):
-        role = guessed_role(file, place)
+    for index, numbers in zip(places, values, strict=True):
+        role = guessed_role(file, index)
         role = "" if role in taken else role
         taken.add(role)
-        first = tuple(float(one) for one in np.asarray(numbers[:_SHOWN_ROWS], np.float64))
-        columns.append(ColumnPreview(file.columns[place], role, first))
+        first = tuple(float(value) for value in np.asarray(numbers[:_SHOWN_ROWS], np.float64))
+        columns.append(ColumnPreview(file.columns[index], role, first))
     return Preview(tuple(paths), file.format, tuple(columns), attributes_beside(paths[0]) is not None)
 
 
@@ -199,9 +199,9 @@ class ImportDialog(QDialog):
             subject=self.subject.text().strip() or None,
         )
 
-    def say(self, words: str) -> None:
+    def say(self, message: str) -> None:
         """Show what is wrong, and let it be put right."""
-        self.said.setText(words)
+        self.said.setText(message)
         self.said.show()
         self.update_enabled(busy=False)
 
@@ -246,8 +246,8 @@ class ImportDialog(QDialog):
         for row, column in enumerate(self._preview.columns):
             name = clean(column.column.header)[:60]
             table.setItem(row, 0, QTableWidgetItem(name or str(row + 1)))
-            known = {role: _(_ROLE_NAMES[role]) for role in ("", *ROLES)}
-            roles = build.choice(known, name=_("What column {name} is").format(name=name))
+            role_names = {role: _(_ROLE_NAMES[role]) for role in ("", *ROLES)}
+            roles = build.choice(role_names, name=_("What column {name} is").format(name=name))
             units = styled(
                 QComboBox(),
                 name=_("Unit of column {name}").format(name=name),
@@ -259,7 +259,7 @@ class ImportDialog(QDialog):
             units.editTextChanged.connect(lambda _text, row=row: self._mark(row))
             table.setCellWidget(row, 1, roles)
             table.setCellWidget(row, 2, units)
-            numbers = "  ".join(number(one, 6) for one in column.first)
+            numbers = "  ".join(number(value, 6) for value in column.first)
             table.setItem(row, 3, QTableWidgetItem(numbers))
         self.table = table
         for row, column in enumerate(self._preview.columns):
@@ -287,8 +287,8 @@ class ImportDialog(QDialog):
         text, quantity = units.currentText().strip(), SIGNAL_UNITS.get(role, "")
         unit = unit_of(text.removesuffix("!"), quantity) if role and text else None
         fits = not role or not text or (unit is not None and quantity in ("", unit.si))
-        words = "" if fits else _("“{unit}” is not a known unit of this signal: choose one.").format(unit=clean(text))
-        build.styled(units, tip=words, accessible_description=words, level=None if fits else "poor")
+        problem = "" if fits else _("“{unit}” is not a known unit of this signal: choose one.").format(unit=clean(text))
+        build.styled(units, tip=problem, accessible_description=problem, level=None if fits else "poor")
         units.style().polish(units)
 
     def role_of(self, row: int) -> QComboBox:
@@ -323,9 +323,9 @@ class ImportDialog(QDialog):
         layout.addWidget(self.buttons)
 
 
-def _choice(names: dict[str, str], known: Sequence[str], usual: str = "") -> QComboBox:
+def _choice(names: dict[str, str], keys: Sequence[str], usual: str = "") -> QComboBox:
     entries: dict[str | None, str] = {None: usual or _("as the file says, else the usual one")}
-    return build.choice(entries | {name: _(names[name]) for name in known})
+    return build.choice(entries | {name: _(names[name]) for name in keys})
 
 
 def _whole(field: QLineEdit) -> int | None:

@@ -183,16 +183,16 @@ class PageJob(QObject):
         self._control = JobControl()
         self._done: Callable[[Any], None] | None = None
         self._failed: Callable[[str], None] | None = None
-        self.words = ""
+        self.activity = ""
 
     @property
     def running(self) -> bool:
         """Whether the page has a running job."""
-        return bool(self.words)
+        return bool(self.activity)
 
     def start(
         self,
-        words: str,
+        activity: str,
         work: Callable[[Callable[[], object]], Any],
         done: Callable[[Any], None],
         failed: Callable[[str], None],
@@ -200,12 +200,12 @@ class PageJob(QObject):
         """Start ``work`` in a thread; return False where another job runs.
 
         ``work`` gets a function that it must call from time to time: it raises CancelledError after :meth:`cancel`.
-        ``failed`` gets the error message, which is empty for a cancelled job. ``words`` says what the job does.
+        ``failed`` gets the error message, which is empty for a cancelled job. ``activity`` says what the job does.
         """
         if self._jobs or self.running:
             return False
         self._control = control = JobControl()
-        self._done, self._failed, self.words = done, failed, words
+        self._done, self._failed, self.activity = done, failed, activity
 
         def run() -> Any:
             try:
@@ -231,8 +231,8 @@ class PageJob(QObject):
             done(result)
         self.changed.emit()
 
-    def _broke(self, words: str) -> None:
-        self._over()[1](words)
+    def _broke(self, message: str) -> None:
+        self._over()[1](message)
         self.changed.emit()
 
     def _over(self) -> tuple[Callable[[Any], None], Callable[[str], None]]:
@@ -240,5 +240,5 @@ class PageJob(QObject):
         assert done is not None
         assert failed is not None
         self._done = self._failed = None
-        self.words = ""
+        self.activity = ""
         return done, failed

@@ -283,9 +283,9 @@ class LiveAnalysis(QWidget):
 
     def _show_numbers(self, view: LiveView) -> None:
         for name, figure in self.numbers.items():
-            found = view.parameters.get(name)
+            estimate = view.parameters.get(name)
             unit = label_and_unit(_QUANTITIES[name])[1]
-            figure.fill(*((MISSING, "") if found is None else value_and_rest(found, unit)))
+            figure.fill(*((MISSING, "") if estimate is None else value_and_rest(estimate, unit)))
 
     def _show_vaf(self, view: LiveView) -> None:
         value = MISSING if view.vaf_percent is None else fixed(view.vaf_percent, 1)

@@ -37,8 +37,8 @@ class LinearRange:
 
     def holds(self, position_m: NDArray[np.float64]) -> bool:
         """Return whether all finite positions, shape (k,), are inside the limits; others are ignored."""
-        known = position_m[np.isfinite(position_m)]
-        return not known.size or (self.low_m <= float(known.min()) and float(known.max()) <= self.high_m)
+        finite = position_m[np.isfinite(position_m)]
+        return not finite.size or (self.low_m <= float(finite.min()) and float(finite.max()) <= self.high_m)
 
 
 def linear_region(device: DeviceDescription) -> LinearRange | None:

@@ -156,13 +156,13 @@ class MainWindow(QMainWindow):
             ui.notice.say,
             go=lambda name: self.pages.show(name),
             open_session=self.open_session,
-            prepare_test=lambda values, words: self.pages.prepare_test(values, words),
+            prepare_test=lambda values, message: self.pages.prepare_test(values, message),
             show_file=lambda path: self.reports.show(path),
             instrument=lambda: ui.form.instrument.url,
-            calibrate=lambda words: self.pages.go_calibrate(words),
+            calibrate=lambda message: self.pages.go_calibrate(message),
             begin_sitting=lambda folder, subject: self.study.begin(folder, subject),
             answered=lambda url, device: ui.form.instrument.tell_calibration(url, calibration_state(device)),
-            note=lambda words: self.panels.log.note(words),
+            note=lambda message: self.panels.log.note(message),
             show_idle=self.show_idle,
         )
 
@@ -351,13 +351,13 @@ class MainWindow(QMainWindow):
         else:
             self.show_idle()
 
-    def on_test_failed(self, words: str) -> None:
+    def on_test_failed(self, message: str) -> None:
         """Show why a test could not be run or saved."""
         self._end_frames()
         self.ui.signals.clear()
         self.ui.analysis.hide()
         self.show_idle()
-        self.ui.notice.say(words, problem=True, page=MEASURE)
+        self.ui.notice.say(message, problem=True, page=MEASURE)
         if self.live.device is None:  # else it had answered, and something else kept the test from beginning
             self._doubt_instrument()
 
@@ -383,10 +383,10 @@ class MainWindow(QMainWindow):
         work = functools.partial(find if self.clinician.holds(path) else open_test, path)
         self._analyse(work, functools.partial(self._not_opened, before))
 
-    def _not_opened(self, before: str, words: str) -> None:
+    def _not_opened(self, before: str, message: str) -> None:
         if self.ui.page == MEASURE:
             self.pages.show(before)
-        self.context.say_failed(words)
+        self.context.say_failed(message)
 
     def identify(self, path: Path, session: Session | None = None) -> None:
         """Analyse a session and show the page of results."""
@@ -427,8 +427,8 @@ class MainWindow(QMainWindow):
 
     def _subject_begins(self, subject: str) -> None:
         """Remove a result that is shown: it is of another subject than the next test."""
-        found = self.findings
-        if found is None or self.testing or subject in ("", found.session.subject.pseudonym):
+        findings = self.findings
+        if findings is None or self.testing or subject in ("", findings.session.subject.pseudonym):
             return
         self._clear_result()
         self.ui.signals.clear()
@@ -452,11 +452,13 @@ class MainWindow(QMainWindow):
     @property
     def _repeats_shown(self) -> bool:
         """Whether a test by the form is the shown test again: one recorded here, of the same subject and site."""
-        form, found, plan = self.ui.form, self.findings, self._plan
+        form, findings, plan = self.ui.form, self.findings, self._plan
         if plan is None or self.state.closing or self.study.leads:
             return False
-        shown = (plan.subject, plan.site) if found is None else (found.session.subject.pseudonym, found.test.site)
-        imported = found is not None and IMPORTED in found.test.notes
+        shown = (
+            (plan.subject, plan.site) if findings is None else (findings.session.subject.pseudonym, findings.test.site)
+        )
+        imported = findings is not None and IMPORTED in findings.test.notes
         return not imported and shown == (form.subject.text().strip() or ANONYMOUS, form.site.currentText().strip())
 
     def _offer_repeat(self) -> None:
@@ -468,8 +470,8 @@ class MainWindow(QMainWindow):
 
     def show_idle(self) -> None:
         """Show the name of the displayed test, or how to start one."""
-        found = self.findings
-        shown = "" if found is None else f"{whose(found)}  ·  {found.path.name}"
+        findings = self.findings
+        shown = "" if findings is None else f"{whose(findings)}  ·  {findings.path.name}"
         self.ui.guidance.show_idle(self.study.instruction or shown)
 
     def _choose_session(self) -> None:

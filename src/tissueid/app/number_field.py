@@ -31,19 +31,19 @@ class FieldHint(QLabel):
         self._over = build.timer(self, _SHOWN_MS, self.hide)
         self.hide()
 
-    def say(self, words: str, *, fading: bool = False) -> None:
+    def say(self, text: str, *, fading: bool = False) -> None:
         """Show words, for some seconds where they are ``fading``; none of them hides it."""
         self._over.stop()
-        self.setText(words)
-        self._field.setAccessibleDescription(words)
-        if not words:
+        self.setText(text)
+        self._field.setAccessibleDescription(text)
+        if not text:
             self.hide()
             return
         window = self._field.window()
         self.setParent(window)
         self.adjustSize()
-        place = self._field.mapTo(window, QPoint(0, self._field.height() + 1))
-        self.move(max(0, min(place.x(), window.width() - self.width())), place.y())
+        corner = self._field.mapTo(window, QPoint(0, self._field.height() + 1))
+        self.move(max(0, min(corner.x(), window.width() - self.width())), corner.y())
         self.show()
         self.raise_()
         if fading:

@@ -118,8 +118,8 @@ class OptionField(QWidget):
         self._automatic: QCheckBox | None = None
         row = build.row((self._control, 1), parent=self)
         if self._optional:
-            words = _(unknown or marked("automatic"))
-            self._automatic = build.styled(QCheckBox(words), name=f"{label}, {words}")
+            caption = _(unknown or marked("automatic"))
+            self._automatic = build.styled(QCheckBox(caption), name=f"{label}, {caption}")
             self._automatic.toggled.connect(self._switch)
             row.addWidget(self._automatic)
         description = _(info.description or "")

@@ -174,21 +174,21 @@ class Pages(QObject):
 
     def _show_instruments(self) -> None:
         chooser = self._ui.form.instrument
-        self.start.show_instruments(chooser.known, chooser.url)
+        self.start.show_instruments(chooser.states, chooser.url)
 
-    def go_calibrate(self, words: str) -> None:
+    def go_calibrate(self, message: str) -> None:
         """Show the page of calibrations with a notice; nothing starts."""
         self.show(MEASURE)
         ui = self._ui
         ui.pages.setCurrentWidget(ui.calibration)
-        ui.notice.say(words)
+        ui.notice.say(message)
         ui.calibration.begin["static"].setFocus(Qt.FocusReason.ShortcutFocusReason)
 
-    def prepare_test(self, values: Mapping[str, Any], words: str) -> None:
+    def prepare_test(self, values: Mapping[str, Any], message: str) -> None:
         """Fill the form of a test and show it with a notice; nothing starts."""
         self.show(MEASURE)
         self._ui.form.fill(values)
-        self._ui.notice.say(words)
+        self._ui.notice.say(message)
 
 
 def _pass_drops_on(page: QWidget) -> None:
@@ -271,14 +271,17 @@ class FileDrops(QObject):
         count = len(made.session.tests)
         said = plural("Imported {count} test into {path}.", "Imported {count} tests into {path}.", count)
         doubts = [*(notice for test in made.tests for notice in test.notices), *made.notices, *problems]
-        words = [said.format(count=count, path=clean(str(self._out))), *(sentence(translated(one)) for one in doubts)]
+        messages = [
+            said.format(count=count, path=clean(str(self._out))),
+            *(sentence(translated(doubt)) for doubt in doubts),
+        ]
         self._context.state.session_saved.emit(self._out)
         if not self._pages.show_new(self._out):
             self._context.open_session(self._out)
-        self._context.say(" ".join(words), problem=bool(problems))
+        self._context.say(" ".join(messages), problem=bool(problems))
 
-    def _not_imported(self, words: str) -> None:
+    def _not_imported(self, message: str) -> None:
         if self.dialog is not None:
-            self.dialog.say(words)
+            self.dialog.say(message)
         else:
-            self._context.say(words, problem=True)
+            self._context.say(message, problem=True)

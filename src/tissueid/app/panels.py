@@ -280,5 +280,5 @@ class Panels(QObject):
     def _follow(self, panel: QWidget, button: QToolButton, _visible: bool) -> None:
         button.setChecked(not panel.isHidden())
 
-    def _tell_saved(self, words: str, problem: bool) -> None:
-        self._notice.say(words, problem=problem)
+    def _tell_saved(self, message: str, problem: bool) -> None:
+        self._notice.say(message, problem=problem)

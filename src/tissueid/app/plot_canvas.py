@@ -207,17 +207,19 @@ class PlotCanvas(QFrame):
 
     def zoom(self, factor: float, at: tuple[float, float] | None = None, axes: Axes | None = None) -> None:
         """Show ``factor`` of the range about a point, pixels from the lower left corner, or about the middle."""
-        for one in self.axes if axes is None else [axes]:
-            if _in_space(one):
+        for subplot in self.axes if axes is None else [axes]:
+            if _in_space(subplot):
                 self._scale /= factor
-                one.set_box_aspect(None, zoom=self._scale)
+                subplot.set_box_aspect(None, zoom=self._scale)
                 continue
-            box = one.bbox
+            box = subplot.bbox
             x, y = at or (0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1))
-            across = 1.0 if axes is None and one is not self.axes[-1] and _joined(one, self.axes[-1]) else factor
+            across = (
+                1.0 if axes is None and subplot is not self.axes[-1] and _joined(subplot, self.axes[-1]) else factor
+            )
             low = (x - across * (x - box.x0), y - factor * (y - box.y0))
             high = (x + across * (box.x1 - x), y + factor * (box.y1 - y))
-            _look_at(one, low, high)
+            _look_at(subplot, low, high)
         self._follow()
 
     # -- events -------------------------------------------------------------------------------------------
@@ -275,8 +277,8 @@ class PlotCanvas(QFrame):
             return True
         if kind == QEvent.Type.MouseButtonPress and self.pick is not None:
             self.pick(at, False)
-        left = event.button() == Qt.MouseButton.LeftButton
-        if kind == QEvent.Type.MouseButtonPress and left and axes is not None and not _in_space(axes):
+        left_button = event.button() == Qt.MouseButton.LeftButton
+        if kind == QEvent.Type.MouseButtonPress and left_button and axes is not None and not _in_space(axes):
             self._grabbed = axes
             axes.start_pan(*at, cast("MouseButton", 1))
         elif kind == QEvent.Type.MouseButtonRelease and self._grabbed is not None:
@@ -346,10 +348,10 @@ class PlotCanvas(QFrame):
             path = path.with_name(f"{path.name}.png")
         try:
             self.save(path)
-            words = _("Saved in {path}.").format(path=path)
+            message = _("Saved in {path}.").format(path=path)
         except OSError as error:
-            words = str(error)
-        self.readout.setText(words)
+            message = str(error)
+        self.readout.setText(message)
         self.readout.adjustSize()
         self.readout.move(10, 6)
         self.readout.show()
@@ -390,7 +392,8 @@ class PlotCanvas(QFrame):
         localise_numbers(figure)
         self._lay_out()
         self._home = [
-            (one.get_xlim(), one.get_ylim(), (one.elev, one.azim) if _in_space(one) else None) for one in self._axes
+            (axes.get_xlim(), axes.get_ylim(), (axes.elev, axes.azim) if _in_space(axes) else None)
+            for axes in self._axes
         ]
 
     def _make_canvas(self) -> Any:
@@ -498,8 +501,8 @@ def _in_space(axes: Axes) -> TypeGuard[Axes3D]:
     return axes.name == "3d"
 
 
-def _joined(one: Axes, other: Axes) -> bool:
-    return bool(one.get_shared_x_axes().joined(one, other))
+def _joined(axes: Axes, other: Axes) -> bool:
+    return bool(axes.get_shared_x_axes().joined(axes, other))
 
 
 def _look_at(axes: Axes, low: tuple[float, float], high: tuple[float, float]) -> None:

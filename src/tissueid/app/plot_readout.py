@@ -38,17 +38,17 @@ def extremes(plot: Plot) -> str:
     surface = plot.surface
     if surface is None or not np.isfinite(surface.values).any():
         return ""
-    words = []
-    for place, text in (
+    sentences = []
+    for flat_index, text in (
         (np.nanargmax(surface.values), _("Greatest {value} at {x} and {y}.")),
         (np.nanargmin(surface.values), _("Least {value} at {x} and {y}.")),
     ):
-        row, column = np.unravel_index(place, surface.values.shape)
+        row, column = np.unravel_index(flat_index, surface.values.shape)
         value = _value("", surface.unit, float(surface.values[row, column]))
         x = _value(plot.x.label, plot.x.unit, float(surface.x[column]))
         y = _value(plot.y.label, plot.y.unit, float(surface.y[row]))
-        words.append(text.format(value=value, x=x, y=y))
-    return " ".join(words)
+        sentences.append(text.format(value=value, x=x, y=y))
+    return " ".join(sentences)
 
 
 def _value(label: str, unit: str, value: float) -> str:

@@ -87,9 +87,9 @@ class QuickAxis(pg.AxisItem):  # type: ignore[misc]
             seen = colours.get(wanted.alpha())
             if seen is None:
                 seen = colours[wanted.alpha()] = _over(self._ground, wanted)
-            left, top = math.floor(min(start.x(), end.x())), math.floor(min(start.y(), end.y()))
+            x, y = math.floor(min(start.x(), end.x())), math.floor(min(start.y(), end.y()))
             width, height = math.ceil(abs(end.x() - start.x())), math.ceil(abs(end.y() - start.y()))
-            painter.fillRect(left, top, max(1, width), max(1, height), seen)
+            painter.fillRect(x, y, max(1, width), max(1, height), seen)
         pen, start, end = line
         painter.setPen(pen)
         painter.drawLine(start, end)
@@ -97,8 +97,8 @@ class QuickAxis(pg.AxisItem):  # type: ignore[misc]
             painter.setFont(self.style["tickFont"])
         painter.setPen(self.textPen())
         painter.setClipRect(self.boundingRect().toAlignedRect())
-        for place, flags, text in without_overlaps(texts):
-            painter.drawText(place, int(flags), text)
+        for area, flags, text in without_overlaps(texts):
+            painter.drawText(area, int(flags), text)
 
 
 def without_overlaps(texts: Sequence[Text]) -> list[Text]:

@@ -107,7 +107,7 @@ class RepeatBar(QWidget):
         self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
         self.accept.setText(_finish(sitting))
         self.undo.setVisible(sitting.accepted)
-        said = ", ".join(f"{place} {_(_WORDS[verdict])}" for place, verdict in enumerate(self._shown, 1))
+        said = ", ".join(f"{number} {_(_WORDS[verdict])}" for number, verdict in enumerate(self._shown, 1))
         done = {"done": sitting.counted, "count": sitting.wanted}
         if sitting.accepted:
             count = translated(Message("sitting.repeats_finished", "{done} of {count} repeats, finished", **done))
@@ -140,7 +140,9 @@ class RepeatBar(QWidget):
 
     def _draw(self) -> None:
         colours: Sequence[str] = [getattr(appearance.theme, _COLOURS.get(verdict, "muted")) for verdict in self._shown]
-        dots = [f'{place}<span style="color:{html.escape(colour)}">●</span>' for place, colour in enumerate(colours, 1)]
+        dots = [
+            f'{number}<span style="color:{html.escape(colour)}">●</span>' for number, colour in enumerate(colours, 1)
+        ]
         dots += [f'<span style="color:{appearance.theme.muted}">○</span>'] * self._left
         self.dots.setText(" ".join(dots))
 
@@ -215,7 +217,7 @@ class QualityGatePanel(QFrame):
         self.allow_repeat(can_repeat)
         self.more.setChecked(False)
         self._fill()
-        self.setAccessibleName(" ".join([_("Quality gate:"), self.headline.text() + ".", *self.words]))
+        self.setAccessibleName(" ".join([_("Quality gate:"), self.headline.text() + ".", *self.texts]))
         self.show()
         if level in ("check", "poor"):
             QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))
@@ -236,7 +238,7 @@ class QualityGatePanel(QFrame):
         self.run_again.setVisible(self._poor and allowed and not self.repeats.offers_repeat)
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def texts(self) -> tuple[str, ...]:
         """All findings, including those that are not shown at first."""
         findings = () if self._quality is None else self._quality.findings
         said = (sentences(finding.words, self._advice(finding)) for finding in findings)
@@ -263,9 +265,9 @@ class QualityGatePanel(QFrame):
         self.more.setVisible(hidden > 0)
         self.more.setText(_("Fewer") if self.more.isChecked() else _("{count} more").format(count=hidden))
         shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
-        for place, finding in enumerate(shown):
-            self.grid.addWidget(_text(translated(finding.words), ""), place, 0)
-            self.grid.addWidget(_text(self._advice(finding), "muted"), place, 1)
+        for index, finding in enumerate(shown):
+            self.grid.addWidget(_text(translated(finding.words), ""), index, 0)
+            self.grid.addWidget(_text(self._advice(finding), "muted"), index, 1)
 
 
 def _text(text: str, role: str) -> QLabel:

@@ -85,9 +85,9 @@ class SafetyReadouts(QFrame):
             text = _("Line lost: the instrument's own watchdog releases the coil within {seconds:g} s")
         _say(self.keys, text.format(seconds=watchdog_s), "check")
 
-    def show_watched(self, words: str, level: str) -> None:
+    def show_watched(self, message: str, level: str) -> None:
         """Show the contact of the probe before a test, with the coil released."""
-        _say(self.contact, words, "check" if level == "check" else "")
+        _say(self.contact, message, "check" if level == "check" else "")
         _say(self.keys, _("Contact is watched; the coil is not driven"))
 
     def expect(self, *, calibrating: bool = False) -> None:
@@ -129,14 +129,14 @@ def _force(safety: Safety) -> tuple[str, str]:
 
 def _coil(safety: Safety) -> tuple[str, str]:
     most = safety.limits.max_temperature_c
-    known = [value for value in (safety.temperature_c, safety.model_c) if value is not None]
-    if not known:
+    temperatures_c = [value for value in (safety.temperature_c, safety.model_c) if value is not None]
+    if not temperatures_c:
         return _("temperature not known"), "check"
-    words = [MISSING if safety.temperature_c is None else f"{fixed(safety.temperature_c, 0)} °C"]
+    texts = [MISSING if safety.temperature_c is None else f"{fixed(safety.temperature_c, 0)} °C"]
     if safety.model_c is not None:
-        words.append(_("model {temperature} °C").format(temperature=fixed(safety.model_c, 0)))
-    return _("{temperatures} of {most:g} °C").format(temperatures=", ".join(words), most=most), "check" if max(
-        known
+        texts.append(_("model {temperature} °C").format(temperature=fixed(safety.model_c, 0)))
+    return _("{temperatures} of {most:g} °C").format(temperatures=", ".join(texts), most=most), "check" if max(
+        temperatures_c
     ) > _WARM_SHARE * most else ""
 
 

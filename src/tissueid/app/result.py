@@ -113,8 +113,8 @@ class ResultPage(QScrollArea):
         self.simulated.setVisible(findings.session.instrument.simulated)
         self.readings.setText(findings.readings)
         self._fill()
-        found, recorded = findings.plots, findings.recorded
-        models = found.nonlinearity, found.impulse, found.magnitude, found.phase, found.prediction
+        curves, recorded = findings.plots, findings.recorded
+        models = curves.nonlinearity, curves.impulse, curves.magnitude, curves.phase, curves.prediction
         plots = *models, recorded.coherence, recorded.spectra, recorded.voltage
         for plot, card in zip(plots, self.cards, strict=True):
             card.show_plots([plot])
@@ -129,7 +129,9 @@ class ResultPage(QScrollArea):
 
     def offer_repeats(self, files: Sequence[Path], shown: Path) -> None:
         """Offer the tests of a sitting, each of which has its own file."""
-        names = [_("Test {number}: {kind}").format(number=place, kind=file.stem) for place, file in enumerate(files, 1)]
+        names = [
+            _("Test {number}: {kind}").format(number=number, kind=file.stem) for number, file in enumerate(files, 1)
+        ]
         self.test.clear()
         self.test.addItems(names)
         self.test.setCurrentIndex(files.index(shown))
@@ -167,10 +169,10 @@ class ResultPage(QScrollArea):
         numbers = [number for number in findings.numbers if detailed or number.unit != "%"]
         if (standing := self._standing) is not None and standing.accepted:
             numbers = [_accepted(number, standing) for number in numbers]
-        for place, tile in enumerate(self.tiles):
-            tile.setVisible(place < len(numbers))
-            if place < len(numbers):
-                number = numbers[place]
+        for index, tile in enumerate(self.tiles):
+            tile.setVisible(index < len(numbers))
+            if index < len(numbers):
+                number = numbers[index]
                 tile.fill(number, findings.verdict.level, self._changes.get(number.quantity, ""))
         self._arrange(self.width())
 
@@ -235,20 +237,22 @@ class ResultPage(QScrollArea):
         self._columns = columns
         grids = (self._tile_grid, self.tiles), (self._plot_grid, self.cards)
         for (layout, widgets), across in zip(grids, columns, strict=True):
-            for place, widget in enumerate(widgets):
-                layout.addWidget(widget, place // across, place % across)
+            for index, widget in enumerate(widgets):
+                layout.addWidget(widget, index // across, index % across)
             for column in range(_TILES):
                 layout.setColumnStretch(column, int(column < across))
-            for place in range(len(widgets)):
-                layout.setRowStretch(place, int(place * across < len(widgets)))
+            for index in range(len(widgets)):
+                layout.setRowStretch(index, int(index * across < len(widgets)))
 
     # -- filling ------------------------------------------------------------------------------------------
 
     def _offer_tests(self, tests: tuple[Test, ...], shown: Test) -> None:
         kinds = {test.number: test.kind.replace("_", " ") for test in tests}
-        words = _("Test {number}: {kind}")
+        template = _("Test {number}: {kind}")
         offer(
-            self.test, {number: words.format(number=number, kind=kind) for number, kind in kinds.items()}, shown.number
+            self.test,
+            {number: template.format(number=number, kind=kind) for number, kind in kinds.items()},
+            shown.number,
         )
         self.test.setVisible(len(tests) > 1)
 
@@ -270,7 +274,7 @@ def _accepted(number: Number, standing: Standing) -> Number:
         if value.count > 1
         else _("accepted")
     )
-    return replace(number, note=note, found=Estimate(value.mean, value.std))
+    return replace(number, note=note, estimate=Estimate(value.mean, value.std))
 
 
 def _recorded(findings: Findings) -> str:
@@ -321,8 +325,8 @@ class _Tile(QFrame):
         number = self.number
         if number is None:
             return
-        found = number.found
-        value, rest = (number.value, number.unit) if found is None else value_and_rest(found, number.si_unit)
+        estimate = number.estimate
+        value, rest = (number.value, number.unit) if estimate is None else value_and_rest(estimate, number.si_unit)
         self.value.setText(value)
         self.rest.setText(rest)
         said = f"{number.label}: {value} {rest}, {number.note}. {self._change.text()}"
@@ -352,12 +356,12 @@ class SittingSummary(QFrame):
             self._heads.append(named)
             table.addWidget(named, 0, column)
         self.cells: dict[str, list[QLabel]] = {}
-        for place, quantity in enumerate(QUANTITIES, 1):
+        for index, quantity in enumerate(QUANTITIES, 1):
             cells = [QLabel() for _head in HEADS]
             cells[1].setStyleSheet("font-weight: 600;")
             for column, cell in enumerate(cells):
                 cell.setTextFormat(Qt.TextFormat.PlainText)
-                table.addWidget(cell, place, column)
+                table.addWidget(cell, index, column)
             self.cells[quantity] = cells
         fill(QVBoxLayout(self), self.heading, table, self.about, spacing=3, margins=(12, 6, 12, 8))
         self.hide()

@@ -37,8 +37,8 @@ def judge_and_analyse(findings: Findings) -> Findings:
 
     session = findings.session
     tests = tuple(
-        test if quality_of(test) is not None else replace(test, notes=test.notes | found.as_notes())
-        for test, found in judge_session(session)
+        test if quality_of(test) is not None else replace(test, notes=test.notes | quality.as_notes())
+        for test, quality in judge_session(session)
     )
     return find(findings.path, replace(session, tests=tests), findings.test.number)
 
@@ -49,22 +49,22 @@ def open_test(path: Path) -> Findings:
     Raises:
         UnusableInputError: the file is not a session, or holds no test.
     """
-    found = find(path)
-    key = sitting_of(found.test)
-    if key is None or found.accepted is not None or found.unread or len(found.session.tests) != 1:
-        return found
-    tests = [*_others_of_sitting(found, key), found]
-    return replace(found, repeats=tuple(sorted(tests, key=lambda test: (test.session.created, test.path))))
+    findings = find(path)
+    key = sitting_of(findings.test)
+    if key is None or findings.accepted is not None or findings.unread or len(findings.session.tests) != 1:
+        return findings
+    tests = [*_others_of_sitting(findings, key), findings]
+    return replace(findings, repeats=tuple(sorted(tests, key=lambda test: (test.session.created, test.path))))
 
 
-def _others_of_sitting(found: Findings, key: str) -> Iterable[Findings]:
+def _others_of_sitting(findings: Findings, key: str) -> Iterable[Findings]:
     """Analyse the other tests of a sitting: sessions next to the test, of its subject and site, saved about then."""
-    saved = found.path.stat().st_mtime
-    files = [file for file in found.path.parent.glob("*.h5") if file.name != found.path.name and file.is_file()]
+    saved = findings.path.stat().st_mtime
+    files = [file for file in findings.path.parent.glob("*.h5") if file.name != findings.path.name and file.is_file()]
     for file in sorted(files, key=lambda file: abs(file.stat().st_mtime - saved))[:MOST_TESTS]:
         with contextlib.suppress(TissueIDError, OSError):  # a file that cannot be read is no test of it
             outline = read_outline(file)
             tests = [entry.test for entry in outline.tests]
-            same = outline.head.subject.pseudonym == found.session.subject.pseudonym
-            if same and len(tests) == 1 and (sitting_of(tests[0]), tests[0].site) == (key, found.test.site):
+            same = outline.head.subject.pseudonym == findings.session.subject.pseudonym
+            if same and len(tests) == 1 and (sitting_of(tests[0]), tests[0].site) == (key, findings.test.site):
                 yield find(file)

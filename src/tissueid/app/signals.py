@@ -142,10 +142,10 @@ class SignalPlots(QWidget):
         self._time = (low_s, high_s)
         self.position.plot.setXRange(low_s, high_s, padding=0.01)
         for number, item in enumerate(self._starts):
-            place = number % 2
-            item.setVisible(place < len(marks))
-            if place < len(marks):
-                item.setValue(marks[place])
+            index = number % 2
+            item.setVisible(index < len(marks))
+            if index < len(marks):
+                item.setValue(marks[index])
 
     def _draw(self, time_s: Array, voltage_v: Array, force_n: Array, position_m: Array) -> None:
         columns = max(1, int(self.position.plot.getViewBox().width()))  # the plots stand below each other
@@ -159,9 +159,9 @@ class SignalPlots(QWidget):
             return
         times_s, ends = decimated(time_s, np.stack(list(signals.values())), *self._time, columns)
         for name, values in zip(signals, ends, strict=True):
-            known = values[np.isfinite(values)]
-            if known.size:
-                self._grow(name, float(known.min()), float(known.max()))
+            finite = values[np.isfinite(values)]
+            if finite.size:
+                self._grow(name, float(finite.min()), float(finite.max()))
             self.curves[name].setData(times_s, values)
 
     def _grow(self, name: str, low: float, high: float) -> None:

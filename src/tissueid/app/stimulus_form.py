@@ -136,11 +136,11 @@ class StimulusForm(QWidget):
         Raises:
             UnusableInputError: what was typed does not read as one.
         """
-        found = tuple((name, field.value()) for name, field in self.controls.items() if self._is_used(name))
+        values = tuple((name, field.value()) for name, field in self.controls.items() if self._is_used(name))
         if self.chosen != Noise.name:
-            return found
+            return values
         unusual = self.changed_options()
-        return tuple((name, value) for name, value in found if name in unusual)
+        return tuple((name, value) for name, value in values if name in unusual)
 
     def changed_options(self) -> dict[str, Any]:
         """Return the options that apply and have not their usual value, without the depths; those that read as one."""
@@ -262,11 +262,11 @@ def _targets(text: str) -> tuple[str, ...]:
     names = {_(name).casefold(): name for name in PARAMETERS}
     targets = []
     for part in parts:
-        found = _TARGET.fullmatch(part)
-        if found is None:
+        match = _TARGET.fullmatch(part)
+        if match is None:
             targets.append(part)
             continue
-        name, share, percent = found[1].casefold(), found[2].replace(",", "."), found[3]
+        name, share, percent = match[1].casefold(), match[2].replace(",", "."), match[3]
         targets.append(
             f"{names.get(name, name)}={float(share) / 100.0:g}" if percent else f"{names.get(name, name)}={share}"
         )
@@ -299,8 +299,8 @@ class ConfigurationChooser(QWidget):
         grid = build.grid(self, vertical_spacing=5, horizontal_spacing=8)
         grid.addWidget(build.styled(QLabel(_(label_of("probe"))), role="field", buddy=self.probe), 1, 0)
         grid.addWidget(self.probe, 1, 1)
-        for place, (name, field) in enumerate(self.settings.items()):
-            field.place(grid, place + bool(place), role="field", word_wrap=False)
+        for index, (name, field) in enumerate(self.settings.items()):
+            field.place(grid, index + bool(index), role="field", word_wrap=False)
             field.edited.connect(self._go_together if name == "configuration" else self.changed)
         self.probe.currentIndexChanged.connect(self._describe)
         self._go_together()

@@ -45,7 +45,7 @@ class DemographicsDialog(QDialog):
     filled = Signal(dict)
 
     def __init__(
-        self, subject: str, names: Sequence[str], known: Mapping[str, str], parent: QWidget | None = None
+        self, subject: str, names: Sequence[str], stored: Mapping[str, str], parent: QWidget | None = None
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle(translated(Message("study.subject", "Subject {subject}", subject=Verbatim(subject))))
@@ -58,7 +58,7 @@ class DemographicsDialog(QDialog):
         form = QFormLayout()
         for name in names:
             kind = DEMOGRAPHIC_FIELDS[name]
-            field, self._read[name] = _field(kind, known.get(name, ""))
+            field, self._read[name] = _field(kind, stored.get(name, ""))
             build.styled(field, name=_(kind.title), minimum_height=_FIELD_HEIGHT)
             self.fields[name] = field
             form.addRow(_(kind.title), field)
@@ -82,22 +82,22 @@ class DemographicsDialog(QDialog):
         self.accept()
 
 
-def _field(kind: DemographicField, known: str) -> tuple[QWidget, Callable[[], str]]:
+def _field(kind: DemographicField, stored: str) -> tuple[QWidget, Callable[[], str]]:
     """Return a control with a value, and a function that returns what it holds."""
     if kind.bounds is not None:
         number = OptionalNumberField(kind.bounds[1])
         build.styled(number, decimals=3, suffix=f" {_(kind.unit)}")
         try:
-            number.give(float(known))
+            number.give(float(stored))
         except ValueError:
             number.give(None)
         return number, lambda: "" if number.given is None else f"{number.given:.10g}"
     if kind.choices:
         entries = {"": _("not known")} | {value: _(value) for value in kind.choices}
-        choice = build.choice(entries if known in entries else entries | {known: known})
-        choice.setCurrentIndex(choice.findData(known))
+        choice = build.choice(entries if stored in entries else entries | {stored: stored})
+        choice.setCurrentIndex(choice.findData(stored))
         return choice, lambda: str(choice.currentData())
-    text = build.styled(QLineEdit(known), max_length=200)
+    text = build.styled(QLineEdit(stored), max_length=200)
     return text, text.text
 
 
@@ -273,12 +273,12 @@ class StudySitting(QObject):
     def _photographed(self, path: Path) -> None:
         self._say(_("Saved in {path}.").format(path=path))
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         self._context.show_idle()
-        self._context.say(words, problem=True)
+        self._context.say(message, problem=True)
 
-    def _say(self, words: str, *, problem: bool = False) -> None:
-        self._ui.notice.say(words, problem=problem, page=MEASURE)
+    def _say(self, message: str, *, problem: bool = False) -> None:
+        self._ui.notice.say(message, problem=problem, page=MEASURE)
 
 
 def _open(folder: Path, subject: str) -> _Opened:
@@ -300,21 +300,21 @@ def _next_words(before: SittingStep | None, step: SittingStep) -> str:
         said = Message("study.move", "Now move to: {site}. Then start the test.", **names)
     else:
         said = Message("study.stay", "Same site again: {site}, test {repeat} of {count}.", **names)
-    words = [translated(said)]
+    messages = [translated(said)]
     condition = step.condition.text
     if condition != ("" if before is None else before.condition.text):
         said = Message("study.now", "Condition: {condition}.", condition=condition or marked("without product"))
-        words.append(translated(said))
-    return " ".join(words)
+        messages.append(translated(said))
+    return " ".join(messages)
 
 
 def _unreadable(problems: Iterable[tuple[str, str]]) -> str:
-    found = list(problems)
-    file, reason = found[0]
+    failures = list(problems)
+    file, reason = failures[0]
     said = Message(
         "study.unreadable",
         "{count} files of this subject cannot be read and do not count; the first is {file}: {reason}",
-        count=len(found),
+        count=len(failures),
         file=file,
         reason=Verbatim(reason),
     )

@@ -123,12 +123,12 @@ def fill_table(
     font.setBold(True)
     with QSignalBlocker(made):
         made.setRowCount(len(rows))
-        for place, texts in enumerate(rows):
+        for row, texts in enumerate(rows):
             for column, text in enumerate(texts):
                 item = QTableWidgetItem(text)
                 item.setToolTip(plain_tip(text))
-                if place in bold:
+                if row in bold:
                     item.setFont(font)
                 if column in right:
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                made.setItem(place, column, item)
+                made.setItem(row, column, item)

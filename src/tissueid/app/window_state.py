@@ -86,8 +86,8 @@ def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidge
     if url := _text(settings, _INSTRUMENT):
         form.instrument.choose(url)
     for choice, key in ((form.limits, _LIMITS), (form.stimulus.live_method, _LIVE_METHOD)):
-        if (place := choice.findData(_text(settings, key))) >= 0:
-            choice.setCurrentIndex(place)
+        if (index := choice.findData(_text(settings, key))) >= 0:
+            choice.setCurrentIndex(index)
 
 
 def show_window(window: QMainWindow) -> None:
@@ -223,13 +223,13 @@ class Chooser(QWidget):
 def choosers(settings: QSettings) -> tuple[Chooser, Chooser, Chooser, Chooser]:
     """Return the choosers of language, units, appearance and text size."""
     kept = str(settings.value(LANGUAGE_SETTING, ""))
-    known = languages()
-    language = kept if kept in known else current_language()
-    looks = {value: _(words) for value, words in APPEARANCES.items()}
-    sizes = {value: f"{_(words)} ({value} %)" for value, words in TEXT_SIZES.items()}
+    language_names = languages()
+    language = kept if kept in language_names else current_language()
+    looks = {value: _(title) for value, title in APPEARANCES.items()}
+    sizes = {value: f"{_(title)} ({value} %)" for value, title in TEXT_SIZES.items()}
     look, size = str(settings.value(APPEARANCE_SETTING, "")), str(settings.value(TEXT_SIZE_SETTING, ""))
     made = (
-        Chooser(settings, LANGUAGE_SETTING, _("Language"), known, language),
+        Chooser(settings, LANGUAGE_SETTING, _("Language"), language_names, language),
         Chooser(settings, UNITS_SETTING, _("Units"), {name: _(NAMES[name]) for name in SYSTEMS}, in_force()),
         Chooser(settings, APPEARANCE_SETTING, _("Appearance"), looks, look),
         Chooser(settings, TEXT_SIZE_SETTING, _("Text size"), sizes, size),

@@ -75,14 +75,14 @@ def outcome_text(outcome: TestOutcome, *, unanswered: bool = False, unlogged: Se
     stopped = outcome.by_button or (outcome.cancelled and not unanswered)
     if stopped:
         how = translated(_STOPPED_BY_BUTTON if outcome.by_button else _STOPPED)
-        words = [how, saved or trouble or translated(_NOTHING_YET)]
+        parts = [how, saved or trouble or translated(_NOTHING_YET)]
     elif outcome.cancelled:
         nothing = "" if trouble else translated(_NOTHING_YET)
-        words = [problem, saved or nothing, translated(_START_AGAIN)]
+        parts = [problem, saved or nothing, translated(_START_AGAIN)]
     else:
-        words = [problem, saved if problem else ""]
+        parts = [problem, saved if problem else ""]
     failed = bool(trouble or unlogged or (problem and not stopped))
-    return " ".join(filter(None, [*words, *(sentence(translated(notice)) for notice in unlogged)])), failed
+    return " ".join(filter(None, [*parts, *(sentence(translated(notice)) for notice in unlogged)])), failed
 
 
 def _problem(outcome: TestOutcome, trouble: str) -> str:
@@ -123,7 +123,7 @@ class CalibrationState:
     ``until`` is the date of the next calibration, "" if it is not known.
     """
 
-    words: str = UNKNOWN
+    summary: str = UNKNOWN
     level: str = ""
     warnings: tuple[str, ...] = ()
     until: str = ""
@@ -133,17 +133,17 @@ def calibration_state(device: DeviceDescription, now: datetime | None = None) ->
     """Return the state of a device's calibration; ``now`` is timezone-aware."""
     good = device.calibration.get("state") == "valid"
     warnings = tuple(sentence(translated(line)) for line in device.calibration_warnings)
-    words = sentence(translated(calibration_summary(device, now))).removesuffix(".")
+    summary = sentence(translated(calibration_summary(device, now))).removesuffix(".")
     until = str(device.calibration.get("valid_until", ""))
-    return CalibrationState(words, "good" if good else "check", warnings, until)
+    return CalibrationState(summary, "good" if good else "check", warnings, until)
 
 
-def figure_of(name: str, found: CalibratedQuantity) -> tuple[str, str, str]:
+def figure_of(name: str, quantity: CalibratedQuantity) -> tuple[str, str, str]:
     """Return label, value with its deviation, and unit."""
-    label, value, unit = readable(name, found)
+    label, value, unit = readable(name, quantity)
     label = translated(label)
     said, factor = shown(unit)
     if factor == 1.0:
         return label, value, said
     # What is converted is shown without a prefix, and that is how a calibration keeps it.
-    return label, plus_minus(Estimate(found.value, found.std)), said
+    return label, plus_minus(Estimate(quantity.value, quantity.std)), said

@@ -59,7 +59,7 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     press(qtbot, bar.accept)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     mean = window.clinician.sitting.result.values["mass_kg"]
-    assert tile.number.found == Estimate(mean.mean, mean.std)
+    assert tile.number.estimate == Estimate(mean.mean, mean.std)
     assert reads(tile.note.text(), "result.accepted_mean", count=2)
     assert f"{tile.value.text()} {tile.rest.text()}" == ui.result.summary.cells["mass_kg"][1].text()
     press(qtbot, bar.undo)

@@ -123,7 +123,7 @@ def test_the_good_test_is_accepted_shown_and_printed_after_a_broken_repeat(qtbot
     assert reads(ui.result.summary.heading.text(), "sitting.accepted_this")
     assert reads(ui.notice.text.text(), "sitting.finished_test", place=1)
     check_agreement(qtbot, window, sitting.papers, tmp_path, files[:1])
-    numbers = {number.label: number.found for number in window.findings.numbers if number.found is not None}
+    numbers = {number.label: number.estimate for number in window.findings.numbers if number.estimate is not None}
     assert numbers["Mass"].value == stored(tmp_path).values["mass_kg"].mean
     assert numbers["Mass"].std == stored(tmp_path).values["mass_kg"].std
 

@@ -324,7 +324,7 @@ def test_calibrations_are_judged_for_the_chosen_instrument_and_one_just_made_is_
     chooser = window.ui.form.instrument
     assert chooser.calibration_of(chooser.url).level == "good"  # Measure and Start know what was answered here
     active = [tab.model.data(tab.model.index(0, 4))]
-    other = next(url for url in window.ui.form.instrument.known if url != window.ui.form.instrument.url)
+    other = next(url for url in window.ui.form.instrument.states if url != window.ui.form.instrument.url)
     window.pages.start.instrument_chosen.emit(other)
     window.pages.show("start")
     window.pages.show("instrument")

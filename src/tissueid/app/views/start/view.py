@@ -289,7 +289,7 @@ class StartView(View):
             ]
         )
         for place, (url, (health, state)) in enumerate(known.items()):
-            lines_of_tip = clean(url), translated(health), _(state.words), *state.warnings
+            lines_of_tip = clean(url), translated(health), _(state.summary), *state.warnings
             self.instruments.explain(place, "\n".join(lines_of_tip))
         self.about_instruments.setText(
             _("The next test is with {url}.").format(url=clean(chosen)) if chosen else _("None is chosen.")
@@ -493,7 +493,7 @@ class StartView(View):
 
 def _calibration(state: CalibrationState) -> str:
     """Return the state without the word of the column header."""
-    said = _(state.words)
+    said = _(state.summary)
     for word in ("Calibration", _("Calibration")):
         said = said.removeprefix(f"{word}: ")
     said = said[:1].upper() + said[1:]

@@ -158,7 +158,7 @@ def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:
         )
     calibration = calibration_state(checkup.device)
     if calibration.level != "good":
-        check.append(sentence(_(calibration.words)))
+        check.append(sentence(_(calibration.summary)))
     check += [line for line in calibration.warnings if line not in check]
     return poor, check
 

@@ -292,7 +292,7 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
         return {_("State"): _("not checked")} | facts
     device = checkup.device
     held = device.calibration
-    facts = {_("State"): _(calibration_state(checkup.device).words)} | facts
+    facts = {_("State"): _(calibration_state(checkup.device).summary)} | facts
     for name, label in (("static", _("Static")), ("sweep", _("Sweep"))):
         if held.get(f"{name}_file"):
             facts[label] = f"{clean(str(held[f'{name}_file']))[:60]}, {clean(str(held.get(f'{name}_date', '')))[:10]}"
@@ -423,7 +423,7 @@ class InstrumentView(View):
 
     def _show_job(self) -> None:
         """The words and the button of what goes on; the calibrations know of the instrument that has answered."""
-        self.doing.setText(self.page_job.words)
+        self.doing.setText(self.page_job.activity)
         self.give_up.setVisible(self.page_job.running)
         checkup = self.health.checkup
         if not self.page_job.running and checkup is not None:
