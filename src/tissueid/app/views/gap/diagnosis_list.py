@@ -90,12 +90,12 @@ class DiagnosisList(QWidget):
                 if row == self.list.currentRow():
                     self.chosen.emit()
 
-    def _put(self, place: int, result: DiagnosisResult) -> None:
+    def _put(self, row: int, result: DiagnosisResult) -> None:
         with QSignalBlocker(self.list):
-            self._insert(place, result)
+            self._insert(row, result)
             while len(self._results) > _MOST:
                 self._take_out(_MOST)
-            self.list.setCurrentRow(min(place, len(self._results) - 1))
+            self.list.setCurrentRow(min(row, len(self._results) - 1))
         self._tell()
 
     def _take_out(self, row: int) -> DiagnosisResult:
@@ -103,19 +103,19 @@ class DiagnosisList(QWidget):
         del self._states[row]
         return self._results.pop(row)
 
-    def _insert(self, place: int, result: DiagnosisResult) -> None:
-        self._results.insert(place, result)
-        self._states.insert(place, result.state)
-        self.list.insertItem(place, QListWidgetItem())
-        self._show_words(place)
+    def _insert(self, row: int, result: DiagnosisResult) -> None:
+        self._results.insert(row, result)
+        self._states.insert(row, result.state)
+        self.list.insertItem(row, QListWidgetItem())
+        self._show_words(row)
 
     def _show_words(self, row: int) -> None:
         result, item = self._results[row], self.list.item(row)
-        words = _words(result, self._states[row])
-        item.setText("\n".join(words))
+        lines = _words(result, self._states[row])
+        item.setText("\n".join(lines))
         made = _("Diagnosed {when}").format(when=f"{result.when.astimezone():%Y-%m-%d %H:%M}")
         item.setToolTip(f"{clean(str(result.asked.session))}\n{made}")
-        item.setData(Qt.ItemDataRole.AccessibleTextRole, ", ".join(words))
+        item.setData(Qt.ItemDataRole.AccessibleTextRole, ", ".join(lines))
 
     def _remove(self) -> None:
         row = self.list.currentRow()
@@ -129,8 +129,8 @@ class DiagnosisList(QWidget):
     def _undo(self) -> None:
         """Restore the diagnosis that was removed last."""
         if self._removed is not None:
-            (place, result), self._removed = self._removed, None
-            self._put(min(place, len(self._results)), result)
+            (row, result), self._removed = self._removed, None
+            self._put(min(row, len(self._results)), result)
             self.returned.emit(result)
 
     def _tell(self) -> None:
@@ -141,14 +141,14 @@ class DiagnosisList(QWidget):
 
 def _words(result: DiagnosisResult, state: State) -> list[str]:
     story = result.story
-    words = [clean(result.asked.session.name)[:_LONGEST], _(VERDICT_TITLES[story.verdict])]
-    words[0] += f"  ·  {result.when.astimezone():%Y-%m-%d %H:%M}"
+    lines = [clean(result.asked.session.name)[:_LONGEST], _(VERDICT_TITLES[story.verdict])]
+    lines[0] += f"  ·  {result.when.astimezone():%Y-%m-%d %H:%M}"
     if story.at_fault:
-        words[1] += f"  ·  {', '.join(_(STAGE_TITLES[stage]) for stage in story.at_fault)}"
+        lines[1] += f"  ·  {', '.join(_(STAGE_TITLES[stage]) for stage in story.at_fault)}"
     if story.effect:
-        words.append(as_title(story.effect))
+        lines.append(as_title(story.effect))
     if result.twin is not None:
-        words.append(_("from twin {name}").format(name=result.twin.name))
+        lines.append(_("from twin {name}").format(name=result.twin.name))
     if state:
-        words.append(_(STATE_TITLES[state]))
-    return words
+        lines.append(_(STATE_TITLES[state]))
+    return lines

@@ -336,14 +336,14 @@ def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> Diagno
     """
     from tissueid.gap import as_answer
 
-    found, session, named = diagnosed.diagnosis, diagnosed.session, diagnosed.named
+    diagnosis, session, named = diagnosed.diagnosis, diagnosed.session, diagnosed.named
     return DiagnosisResult(
         diagnosed.plan,
         session.session_id,
-        found.dataset.instrument,
+        diagnosis.dataset.instrument,
         diagnosed.twin,
-        page_content_of(found, session),
-        finite(as_answer(found)),
+        page_content_of(diagnosis, session),
+        finite(as_answer(diagnosis)),
         diagnosed.report_html,
         named.twin,
         named.refused,
@@ -351,9 +351,9 @@ def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> Diagno
     )
 
 
-def page_content_of(found: Diagnosis, session: Session) -> PageContent:
+def page_content_of(diagnosis: Diagnosis, session: Session) -> PageContent:
     """Return the content of the page for a diagnosis."""
     from tissueid.app.views.gap.page_content import proposal_of
     from tissueid.gap.answer import content_of
 
-    return PageContent(**vars(content_of(found)), proposal=proposal_of(found, session))
+    return PageContent(**vars(content_of(diagnosis)), proposal=proposal_of(diagnosis, session))

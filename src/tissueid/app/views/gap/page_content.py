@@ -109,12 +109,12 @@ _PUT = {
 """Test: what to put under the probe in place of tissue."""
 
 
-def proposal_of(found: Diagnosis, session: Session) -> Proposal | None:
+def proposal_of(diagnosis: Diagnosis, session: Session) -> Proposal | None:
     """Return the proposed next test; None if there is no doubt or no test would help."""
-    step = found.next_experiment
+    step = diagnosis.next_experiment
     if step is None:
         return None
-    instructions = {item.kind: item.instruction for item in candidate_tests(found.dataset)}
+    instructions = {item.kind: item.instruction for item in candidate_tests(diagnosis.dataset)}
     gains = sorted((step.gains or {step.kind: step.gain_nats}).items(), key=lambda item: -item[1])
     title = instructions.get(step.kind, step.kind.replace("_", " "))
     fields = None if step.settings is None else _fields(step.settings, session)
@@ -138,8 +138,8 @@ def session_url(device: DeviceDescription, twin: Path | None, folders: Sequence[
     """
     if twin is not None and model_of_file(twin) == device.model:
         return twin_url(twin)
-    known = (twins_in(folder).items() for folder in dict.fromkeys(folders))
-    return next((url for found in known for url, model in found if model == device.model), "")
+    by_folder = (twins_in(folder).items() for folder in dict.fromkeys(folders))
+    return next((url for twins in by_folder for url, model in twins if model == device.model), "")
 
 
 def prepared_words(step: Proposal, device: DeviceDescription, url: str) -> str:
@@ -151,10 +151,10 @@ def prepared_words(step: Proposal, device: DeviceDescription, url: str) -> str:
         url: its URL if the form has chosen it; "" if the form keeps its own choice.
     """
     fields = step.fields or {}
-    words = as_title(step.title)
+    title = as_title(step.title)
     if "max_force_n" in fields:
-        words = _("{title}, {low:.1f} to {high:.1f} N as far as the limits allow").format(
-            title=words, low=fields.get("min_force_n", 0.0), high=fields["max_force_n"]
+        title = _("{title}, {low:.1f} to {high:.1f} N as far as the limits allow").format(
+            title=title, low=fields.get("min_force_n", 0.0), high=fields["max_force_n"]
         )
     if url:
         instrument = translated(
@@ -172,7 +172,7 @@ def prepared_words(step: Proposal, device: DeviceDescription, url: str) -> str:
             )
         )
     parts = (
-        _("Prepared: {title}.").format(title=words),
+        _("Prepared: {title}.").format(title=title),
         as_sentence(step.put),
         instrument,
         _("Check the instrument and the site, then start the test."),
@@ -190,21 +190,21 @@ def _by_hand(title: str) -> str:
 
 
 def _fields(settings: TestSettings, session: Session) -> dict[str, Any]:
-    found: dict[str, Any] = settings.model_dump(include={"min_force_n", "max_force_n", "seconds"}, exclude_none=True)
-    found["stimulus_kind"] = settings.stimulus or Noise.name
-    found["distribution"] = settings.distribution or "uniform"
-    found["under_probe"] = settings.kind or ""
+    fields: dict[str, Any] = settings.model_dump(include={"min_force_n", "max_force_n", "seconds"}, exclude_none=True)
+    fields["stimulus_kind"] = settings.stimulus or Noise.name
+    fields["distribution"] = settings.distribution or "uniform"
+    fields["under_probe"] = settings.kind or ""
     used = {_seed(test.stimulus) for test in session.tests}
-    found["seed"] = next(seed for seed in count(1) if seed not in used)
+    fields["seed"] = next(seed for seed in count(1) if seed not in used)
     site = next((test.site for test in session.tests if test.site), "")
-    site = settings.site if found["under_probe"] else site
+    site = settings.site if fields["under_probe"] else site
     if site:
-        found["site"] = clean(site)[:80]
-    if found["under_probe"]:
-        found["pseudonym"] = ""  # no person is measured
+        fields["site"] = clean(site)[:80]
+    if fields["under_probe"]:
+        fields["pseudonym"] = ""  # no person is measured
     elif session.subject.pseudonym:
-        found["pseudonym"] = clean(session.subject.pseudonym)[:80]
-    return found
+        fields["pseudonym"] = clean(session.subject.pseudonym)[:80]
+    return fields
 
 
 def _seed(stimulus: Mapping[str, Any]) -> int | None:

@@ -45,20 +45,20 @@ def read_titles(paths: Sequence[Path], cancelled: threading.Event) -> dict[Path,
 
     The title of a file that is no session, or says nothing of itself, is empty; that of a missing file is None.
     """
-    found: dict[Path, str | None] = {}
+    titles: dict[Path, str | None] = {}
     for path in paths:
         if cancelled.is_set():
             break
         stamp = stamp_of(path)
-        found[path] = None if stamp is None else title_of(entry_of(path, stamp))
-    return found
+        titles[path] = None if stamp is None else title_of(entry_of(path, stamp))
+    return titles
 
 
 def title_of(entry: SessionEntry) -> str:
     """Return subject, site, date and test of a session; "" if the file has none of the first three."""
     sites = dict.fromkeys(clean(test.site).strip() for test in entry.tests)
-    known = [subject_text(entry.pseudonym), *sites, local_time(entry.when)]
-    parts = [part[:_LONGEST_PART] for part in known if part]
+    details = [subject_text(entry.pseudonym), *sites, local_time(entry.when)]
+    parts = [part[:_LONGEST_PART] for part in details if part]
     return ", ".join([*parts, _tests(entry)]) if parts else ""
 
 
@@ -123,9 +123,9 @@ class DiagnosisLoader(QObject):
         self.running = False
         self.titles_read.emit(titles)
 
-    def _broke(self, words: str) -> None:
+    def _broke(self, message: str) -> None:
         self.running = False
-        self.failed.emit(words)
+        self.failed.emit(message)
 
 
 NOMINAL = marked("Nominal twin")
@@ -282,11 +282,11 @@ class RequestPanel(QFrame):
         buttons = build.column(None, build.row(None, self.open, self.run, spacing=8))
         choices = build.fill(FoldingBox(_ONE_ROW), *parts, buttons, spacing=8)
         inside = build.fill(FoldingBox(_FIELDS_IN_A_ROW, self.more), spacing=None)
-        for words, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
-            label = styled(QLabel(words), buddy=field)
+        for title, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
+            label = styled(QLabel(title), buddy=field)
             build.styled(
                 field,
-                name=_("{field}, numbers with commas between").format(field=words),
+                name=_("{field}, numbers with commas between").format(field=title),
                 placeholder_text=_("chosen by itself"),
                 max_length=200,
                 fixed_width=130,
@@ -324,8 +324,8 @@ class _FileChoice(QObject):
     @property
     def path(self) -> Path | None:
         """The selected file; None for no selection or the first entry."""
-        found = self.choice.currentData()
-        return Path(found) if found else None
+        file = self.choice.currentData()
+        return Path(file) if file else None
 
     @property
     def untitled(self) -> list[Path]:
@@ -341,14 +341,14 @@ class _FileChoice(QObject):
 
     def choose(self, path: Path) -> None:
         """Select a file from any folder."""
-        place = self.choice.findData(str(path))
+        index = self.choice.findData(str(path))
         self._remember(path)  # a listed one too: newer files may displace it from the list
-        if place < 0:
+        if index < 0:
             self._titles.pop(path, None)
-            place = len(self._first)
-            self.choice.insertItem(place, "", str(path))
+            index = len(self._first)
+            self.choice.insertItem(index, "", str(path))
             self._show_titles()
-        self.choice.setCurrentIndex(place)
+        self.choice.setCurrentIndex(index)
 
     def add_recent(self, path: Path) -> None:
         """Add a file from another folder, and mark its title for reading."""
@@ -367,14 +367,14 @@ class _FileChoice(QObject):
 
     @property
     def _offered(self) -> list[Path]:
-        return [Path(found) for place in range(self.choice.count()) if (found := self.choice.itemData(place))]
+        return [Path(file) for index in range(self.choice.count()) if (file := self.choice.itemData(index))]
 
     def _show_titles(self) -> None:
         called = unique_titles({path: self._titles.get(path, "") for path in self._offered})
-        for place in range(self.choice.count()):
-            if found := self.choice.itemData(place):
-                self.choice.setItemText(place, called[Path(found)][:_LONGEST])
-                self.choice.setItemData(place, clean(found), Qt.ItemDataRole.ToolTipRole)
+        for index in range(self.choice.count()):
+            if file := self.choice.itemData(index):
+                self.choice.setItemText(index, called[Path(file)][:_LONGEST])
+                self.choice.setItemData(index, clean(file), Qt.ItemDataRole.ToolTipRole)
 
     def _tell(self) -> None:
         self.choice.setToolTip(clean(str(self.path or "")))

@@ -142,8 +142,8 @@ class SignalChain(QWidget):
         painter.drawPath(path)
         self._head(painter, QPointF(end.x(), end.y() + _HEAD), end)
         painter.setPen(QColor(appearance.theme.muted))
-        place = QRectF(0.5 * (start.x() + end.x()) - 50, low + 1, 100, 16)
-        painter.drawText(place, Qt.AlignmentFlag.AlignCenter, _("back-EMF"))
+        area = QRectF(0.5 * (start.x() + end.x()) - 50, low + 1, 100, 16)
+        painter.drawText(area, Qt.AlignmentFlag.AlignCenter, _("back-EMF"))
 
     def _arrow(self, painter: QPainter, start: QPointF, end: QPointF) -> None:
         painter.setPen(QPen(QColor(appearance.theme.muted), 1.2))
@@ -190,14 +190,14 @@ class _Box(QAbstractButton):
     def show_share(self, share: float, *, lit: bool) -> None:
         """Show the share (0 to 1), and whether the stage is at fault."""
         self._share, self._lit = share, lit
-        words = f"{100.0 * share:.0f} %" if share > 0.0 else _("named cause") if lit else _("only noise")
-        self.setText(words)
+        text = f"{100.0 * share:.0f} %" if share > 0.0 else _("named cause") if lit else _("only noise")
+        self.setText(text)
         fault = _(", at fault") if lit else ""
         of = _("of what noise does not explain") if share > 0.0 else ""
         build.styled(
             self,
-            name=_("Stage {title}, {share} {of}").format(title=self._title, share=words, of=of).strip() + fault,
-            tip=f"{self._title}: {words} {of}".strip() + f"{fault}. {_('Click for its evidence.')}",
+            name=_("Stage {title}, {share} {of}").format(title=self._title, share=text, of=of).strip() + fault,
+            tip=f"{self._title}: {text} {of}".strip() + f"{fault}. {_('Click for its evidence.')}",
         )
         self.update()
 
@@ -205,29 +205,29 @@ class _Box(QAbstractButton):
         """Draw the box; its colour is deeper for a larger share."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        place = QRectF(self.rect()).adjusted(2, 2, -2, -2)
+        area = QRectF(self.rect()).adjusted(2, 2, -2, -2)
         painter.setBrush(QColor(appearance.theme.field))
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.drawRoundedRect(place, 5, 5)
+        painter.drawRoundedRect(area, 5, 5)
         painter.setBrush(faint(appearance.theme.poor, round(_DARKEST * min(self._share, 1.0))))
         edge, width = (appearance.theme.poor, 3.0) if self._lit else (appearance.theme.edge, 1.0)
         painter.setPen(QPen(QColor(edge), width))
-        painter.drawRoundedRect(place, 5, 5)
+        painter.drawRoundedRect(area, 5, 5)
         if self.hasFocus() or self.isChecked():
             style = Qt.PenStyle.DashLine if self.hasFocus() else Qt.PenStyle.SolidLine
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.setPen(QPen(QColor(appearance.theme.accent), 1.5, style))
-            painter.drawRoundedRect(place.adjusted(3, 3, -3, -3), 3, 3)
+            painter.drawRoundedRect(area.adjusted(3, 3, -3, -3), 3, 3)
         font = self.font()
         font.setBold(self._lit)
         painter.setFont(font)
         painter.setPen(QColor(appearance.theme.text))
-        half = 0.5 * place.height()
-        painter.drawText(place.adjusted(0, 3, 0, -half + 2), Qt.AlignmentFlag.AlignCenter, self._title)
+        half = 0.5 * area.height()
+        painter.drawText(area.adjusted(0, 3, 0, -half + 2), Qt.AlignmentFlag.AlignCenter, self._title)
         font.setBold(False)
         font.setPointSizeF(max(7.5, 0.85 * font.pointSizeF()))
         painter.setFont(font)
-        painter.drawText(place.adjusted(0, half - 2, 0, -3), Qt.AlignmentFlag.AlignCenter, self.text())
+        painter.drawText(area.adjusted(0, half - 2, 0, -3), Qt.AlignmentFlag.AlignCenter, self.text())
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         """Click on Return; leave the arrow keys to the chain."""
@@ -331,13 +331,13 @@ class DiagnosisPage(QScrollArea):
     def _show_stage(self, stage: Stage) -> None:
         if self._story is None:
             return
-        found = next(item for item in self._story.stages if item.stage == stage)
+        content = next(item for item in self._story.stages if item.stage == stage)
         self.stage.setText(
-            (_("Evidence: {stage} (at fault)") if found.lit else _("Evidence: {stage}")).format(
+            (_("Evidence: {stage} (at fault)") if content.lit else _("Evidence: {stage}")).format(
                 stage=_(STAGE_TITLES[stage])
             )
         )
-        self.evidence.setText("\n".join(map(as_sentence, found.evidence)))
+        self.evidence.setText("\n".join(map(as_sentence, content.evidence)))
         self.evidence.setAccessibleName(f"{self.stage.text()}. {self.evidence.text()}")
 
     def _arrange(self) -> None:

@@ -60,10 +60,10 @@ class BarTable(QTableWidget):
 
     def fill(self, rows: Sequence[tuple[Sequence[str], float, bool]]) -> None:
         """Show rows of texts, share of the bar (0 to 1), and whether the row is bold."""
-        bold = [place for place, (_words, _share, is_bold) in enumerate(rows) if is_bold]
-        fill_table(self, [words for words, _share, _bold in rows], bold)
-        for place, (_words, share, _bold) in enumerate(rows):
-            if (item := self.item(place, self._bars)) is not None:
+        bold = [row for row, (_texts, _share, is_bold) in enumerate(rows) if is_bold]
+        fill_table(self, [texts for texts, _share, _bold in rows], bold)
+        for row, (_texts, share, _bold) in enumerate(rows):
+            if (item := self.item(row, self._bars)) is not None:
                 item.setData(_SHARE, share)
 
 
@@ -77,16 +77,16 @@ class _Bar(QStyledItemDelegate):
         self, painter: QPainter, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex
     ) -> None:
         """Draw a cell."""
-        place = QRectF(option.rect).adjusted(3, 4, -3, -4)  # type: ignore[attr-defined]
+        area = QRectF(option.rect).adjusted(3, 4, -3, -4)  # type: ignore[attr-defined]
         chosen = bool(option.state & QStyle.StateFlag.State_Selected)  # type: ignore[attr-defined]
         if chosen:
             painter.fillRect(option.rect, QColor(appearance.theme.accent))  # type: ignore[attr-defined]
         share = min(max(float(index.data(_SHARE) or 0.0), 0.0), 1.0)
-        painter.fillRect(place, faint(appearance.theme.muted, 40))
-        bar = QRectF(place.left(), place.top(), max(share * place.width(), 1.0 if share > 0.0 else 0.0), place.height())
+        painter.fillRect(area, faint(appearance.theme.muted, 40))
+        bar = QRectF(area.left(), area.top(), max(share * area.width(), 1.0 if share > 0.0 else 0.0), area.height())
         painter.fillRect(bar, faint(appearance.theme.model, 130))
         painter.setPen(QColor(appearance.theme.accent_text if chosen else appearance.theme.text))
-        painter.drawText(place.adjusted(5, 0, -5, 0), Qt.AlignmentFlag.AlignVCenter, str(index.data() or ""))
+        painter.drawText(area.adjusted(5, 0, -5, 0), Qt.AlignmentFlag.AlignVCenter, str(index.data() or ""))
 
 
 _NOT_THERE = marked("There is no data to show.")
@@ -273,9 +273,9 @@ class ClosureTab(QWidget):
     def _show_chosen(self) -> None:
         from tissueid.gap.diagnosis_plots import overlay_plots
 
-        place = self.channel.currentIndex()
-        if 0 <= place < len(self._overlays):
-            self.signals.show_plots(overlay_plots(self._overlays[place]))
+        index = self.channel.currentIndex()
+        if 0 <= index < len(self._overlays):
+            self.signals.show_plots(overlay_plots(self._overlays[index]))
 
     def _arrange(self) -> None:
         choice = build.row(build.styled(QLabel(_("Signal")), buddy=self.channel), (self.channel, 1), spacing=8)
@@ -344,17 +344,17 @@ class _GapBars(QWidget):
         pitch = self._pitch(self.width())
         begin, below = (0.0, _NAME_LINE) if pitch == _STACKED else (float(self._name_width()), 0)
         room = max(self.width() - begin - _FIGURE, 10.0)
-        for place, row in enumerate(self._rows):
-            top = pitch * place
+        for index, row in enumerate(self._rows):
+            top = pitch * index
             painter.setPen(QColor(appearance.theme.text))
             name_room = QRectF(0, top, begin - 8.0 if begin else self.width(), below or _BAR_LINE)
             shown = self.fontMetrics().elidedText(
                 translated(row.name), Qt.TextElideMode.ElideRight, int(name_room.width())
             )
             painter.drawText(name_room, Qt.AlignmentFlag.AlignVCenter, shown)
-            left, right = (room * value / most if np.isfinite(value) else 0.0 for value in (row.low, row.high))
-            width = max(right - left, 1.0)
-            bar = QRectF(begin + left, top + below + 4, width, 14)
+            start, end = (room * value / most if np.isfinite(value) else 0.0 for value in (row.low, row.high))
+            width = max(end - start, 1.0)
+            bar = QRectF(begin + start, top + below + 4, width, 14)
             painter.fillRect(bar, QColor(getattr(appearance.theme, row.role)))
             figure = QRectF(bar.right() + 6, top + below, _FIGURE, _BAR_LINE)
             painter.drawText(figure, Qt.AlignmentFlag.AlignVCenter, share_text(row.high - row.low))

@@ -255,9 +255,9 @@ class GapView(View):
                 problem=True,
             )
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         self._rest()
-        self.context.say(words, problem=True)
+        self.context.say(message, problem=True)
 
     def _rest(self) -> bool:
         # The focus would be lost with the button that disappears.
@@ -280,13 +280,13 @@ class GapView(View):
     def _restore(self, kept: KeptDiagnoses) -> None:
         self.history.restore(kept.results)
         if kept.bad:
-            one = Message("gap.one_unreadable", "1 kept diagnosis could not be read and is passed over.")
+            single = Message("gap.one_unreadable", "1 kept diagnosis could not be read and is passed over.")
             several = Message(
                 "gap.several_unreadable",
                 "{count} kept diagnoses could not be read and are passed over.",
                 count=kept.bad,
             )
-            self.context.say(translated(one if kept.bad == 1 else several), problem=True)
+            self.context.say(translated(single if kept.bad == 1 else several), problem=True)
 
     def _forget(self, result: DiagnosisResult) -> None:
         remove(result.key, self._kept_in)
@@ -360,15 +360,15 @@ class GapView(View):
             self.context.jobs.do(functools.partial(work, result), then, self._not_kept, why=why, long=long)
 
     def _accepted(self, accepted: tuple[Path, str]) -> None:
-        path, words = accepted
+        path, notice = accepted
         self.asking.on_session_saved(path)
-        self.context.say(words)
+        self.context.say(notice)
 
     def _exported(self, path: Path) -> None:
         self.context.say(_("The answer is saved in {path}.").format(path=path))
 
-    def _not_kept(self, words: str) -> None:
-        self.context.say(words, problem=True)
+    def _not_kept(self, message: str) -> None:
+        self.context.say(message, problem=True)
 
     # -- what to measure next -------------------------------------------------------------------------------------
 
