@@ -32,7 +32,7 @@ def test_links_and_anchors_lead_somewhere(document):
 
 def test_the_examples_name_commands_and_options_that_exist():
     """Every line of a shell example that calls the program, on every page."""
-    known = {command.words: command for command in all_commands()}
+    known = {command.path: command for command in all_commands()}
     checked = 0
     for document in DOCUMENTS:
         for line in "\n".join([*blocks(document, "sh"), *blocks(document, "")]).replace("\\\n", " ").splitlines():

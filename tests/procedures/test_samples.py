@@ -20,7 +20,7 @@ from tissueid.sessions import read_session
 
 
 def test_every_plan_and_command_is_valid(tmp_path: Path):
-    commands = {" ".join(command.words): command for command in all_commands()}
+    commands = {" ".join(command.path): command for command in all_commands()}
     for name, sample in SAMPLES.items():
         TestPlan(url=sample.url, out=tmp_path / name, **sample.values).check()
         program, command, *words = sample.command.split()
