@@ -227,7 +227,7 @@ class InputRun:
     length: int
     local: slice | NDArray[np.intp]  # indices of the fitted samples within the run
     time_s: Array  # of the fitted samples, from the first one on
-    place: slice  # their slice of all fitted samples
+    fitted: slice  # their slice of all fitted samples
 
 
 def fit_second_order(
@@ -427,7 +427,7 @@ def _evaluate(
     rows[-1] = 1.0 if weights is None else weights
     for run in runs:
         response, slopes = sampled_response(system, run.length, rate, hold)
-        here = rows[:, run.place]
+        here = rows[:, run.fitted]
         driven = run.spectrum
         answers = [response, *slopes]
         if theta.size > 3:
@@ -437,14 +437,14 @@ def _evaluate(
         for row, answer in enumerate(answers):
             answer *= driven
             here[row] = fft.irfft(answer, run.length, overwrite_x=True)[run.local]
-        np.subtract(y[run.place], here[0], out=here[0])
+        np.subtract(y[run.fitted], here[0], out=here[0])
         t = run.time_s[: int(np.searchsorted(run.time_s, lasting_s))]
         free = np.column_stack(
             [free_position(t, decay, squared), free_velocity(t, decay, squared) * system.natural_frequency_rad_per_s]
         )
         if weights is not None:
-            here[:-1] *= weights[run.place]
-            free *= weights[run.place, None]
+            here[:-1] *= weights[run.fitted]
+            free *= weights[run.fitted, None]
         q, _ = np.linalg.qr(free)  # a free response affects its own run only
         start = here[:, : t.size]
         start -= (start @ q) @ q.T

@@ -159,10 +159,10 @@ class _Problem(ErrorProblem):
         offset = np.ones(self.y.size)
         for run in self.runs:
             h, slopes = system.sampled(fft.rfftfreq(run.length, 1.0 / self.rate), self.rate, self.hold)
-            here = rows[:, run.place]
+            here = rows[:, run.fitted]
             for row, transfer in enumerate((h, *slopes)):
                 here[row] = fft.irfft(transfer * run.spectrum, run.length)[run.local]
-            here[0] = self.y[run.place] - here[0]
+            here[0] = self.y[run.fitted] - here[0]
             t = run.time_s
             free = [np.ones(t.size)]
             if self.held and system.creeps:
@@ -179,7 +179,7 @@ class _Problem(ErrorProblem):
                 free.append(decay * np.sin(pole.imag * t) if pole.imag > 0.0 else decay * pole.real * t)
             q, _ = np.linalg.qr(np.column_stack(free))
             here -= (here @ q) @ q.T
-            offset[run.place] -= q @ (q.T @ offset[run.place])
+            offset[run.fitted] -= q @ (q.T @ offset[run.fitted])
         energy = float(offset @ offset)
         if energy > 1e-9 * self.y.size:
             rows -= np.outer(rows @ offset / energy, offset)

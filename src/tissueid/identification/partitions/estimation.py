@@ -378,9 +378,9 @@ class DepthEstimator:
         with a warning.
         """
         seen = self.estimate(self.prepared.record.output)
-        if not self.linear.mechanical or not seen.local.known.any():
+        if not self.linear.mechanical or not seen.local.determined.any():
             return seen
-        if not seen.local.known.all():
+        if not seen.local.determined.all():
             return replace(seen, warnings=(_UNCORRECTED,))
         tissue = FittedTissue.through(seen.local, self.prepared, self.partitions, self.linear.hold, seen.rest)
         contrast = fit_contrast(tissue, seen.local.log_parameters, self.used)
@@ -451,4 +451,4 @@ class _Search:
             back = self.estimator.estimate(simulated).local
         except UnusableInputError:
             return None
-        return back.log_parameters if back.known.all() else None
+        return back.log_parameters if back.determined.all() else None

@@ -121,14 +121,14 @@ def fit_warnings(vaf: float, details: dict[str, float], local: LocalEstimates, f
                 points=lost,
             )
         )
-    missing = int(np.count_nonzero(~local.local.known))
+    missing = int(np.count_nonzero(~local.local.determined))
     if missing:
         messages.append(
             Message(
                 "partitions.not_second_order",
                 "{missing} of {kernels} kernels are not those of a second-order system",
                 missing=missing,
-                kernels=int(local.local.known.size),
+                kernels=int(local.local.determined.size),
             )
         )
     return tuple(messages)
@@ -139,9 +139,9 @@ def findings(local: LocalEstimates, partitions: Partitions, linear: SecondOrderF
 
     Nothing is stated where the standard deviations do not hold.
     """
-    if not linear.mechanical or np.count_nonzero(local.local.known) < 2 or not local.certain:
+    if not linear.mechanical or np.count_nonzero(local.local.determined) < 2 or not local.certain:
         return ()
-    determined = np.flatnonzero(local.local.known)
+    determined = np.flatnonzero(local.local.determined)
     first, last = (
         determined[np.argmin(local.local.position[determined])],
         determined[np.argmax(local.local.position[determined])],

@@ -56,7 +56,7 @@ class LocalParameters:
     sign: float
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def determined(self) -> NDArray[np.bool_]:
         """Mask of the cells that have parameters, (cells,)."""
         return np.isfinite(self.log_parameters[:, 0])
 
@@ -182,7 +182,7 @@ def means_and_slopes(local: LocalParameters, position: float) -> dict[str, Estim
     They are read from weighted curves through the logarithms of the cells: parabolas for five or more cells, lines for
     three or four. Scatter of the cells beyond their standard deviations widens the result's.
     """
-    determined = local.known
+    determined = local.determined
     estimates: dict[str, Estimate] = {}
     count = int(determined.sum())
     if count == 0:
@@ -235,7 +235,7 @@ def _linearised(
     direct: LocalParameters, partitions: Partitions, solved: PartitionedKernels, band: _Band
 ) -> LocalParameters:
     """Return the response of the fitted model to small inputs at rest at each depth, as a second-order system."""
-    determined = direct.known
+    determined = direct.determined
     slope = _depth_slopes(direct, partitions.direction)  # (cells, cells): slope at each cell from all logarithms
     log_parameters, root = np.full_like(direct.log_parameters, np.nan), np.zeros_like(direct.root)
     offset, offset_root = float(solved.offsets[0]), solved.offset_root[0]
@@ -272,7 +272,7 @@ def _depth_slopes(direct: LocalParameters, direction: NDArray[np.int_]) -> Array
     """Return rows (cells, cells) that map the logarithms to the slope of a line through the cells of each direction."""
     rows = np.zeros((direct.position.size, direct.position.size))
     for way in np.unique(direction):
-        mine = np.flatnonzero(direct.known & (direction == way))
+        mine = np.flatnonzero(direct.determined & (direction == way))
         if mine.size < 2:
             continue
         spread = np.einsum("kim,kim->k", direct.root[mine], direct.root[mine]) / 3.0

@@ -189,7 +189,7 @@ class VolterraRegressors:
         """Return P theta, (rows,), for theta (M,)."""
         if self.order == 3:
             by_channel = np.empty(self.columns)
-            by_channel[self._place] = theta
+            by_channel[self._column_order] = theta
             return self._lagged.apply(by_channel)
         kernels = kernels_of(theta, self.lags, self.order)
         total = np.full(self.rows.size, kernels.zeroth)
@@ -216,13 +216,13 @@ class VolterraRegressors:
         """Return the explicit matrix P, (rows, M)."""
         if self.order == 0:
             return np.ones((self.rows.size, 1))
-        return self._lagged.matrix()[:, self._place]
+        return self._lagged.matrix()[:, self._column_order]
 
     def gram(self) -> Array:
         """Return P'P, (M, M), by the shift structure of lagged products."""
         if self.order == 0:
             return np.array([[float(self.rows.size)]])
-        return self._lagged.gram(self._place)
+        return self._lagged.gram(self._column_order)
 
     def normal_equations(self, gram: Array, y: Array) -> NormalEquations:
         """Return the normal equations for an output y (rows,)."""
@@ -260,7 +260,7 @@ class VolterraRegressors:
         return LaggedRegressors(np.array(channels), tuple(counts), self.spacing, self.used)
 
     @cached_property
-    def _place(self) -> NDArray[np.intp]:
+    def _column_order(self) -> NDArray[np.intp]:
         """Index of each coefficient (M,) in the columns ordered by channel."""
         starts = 1 + np.concatenate([[0], np.cumsum(self._lagged.lags)[:-1]])
         indices = [np.arange(1 + self.lags)]
