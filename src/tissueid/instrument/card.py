@@ -189,10 +189,10 @@ class CardInstrument(HostPlayedInstrument):
 
 def card_schemes() -> dict[str, EntryPoint]:
     """Return the entry points of installed cards by the scheme of their addresses."""
-    found = {item.name: item for item in entry_points(group=GROUP)}
+    installed = {item.name: item for item in entry_points(group=GROUP)}
     return {
         name: item
-        for name, item in found.items()
+        for name, item in installed.items()
         if re.fullmatch(r"[a-z][a-z0-9-]*", name) and name not in _OWN_SCHEMES
     }
 

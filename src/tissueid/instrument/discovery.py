@@ -175,28 +175,28 @@ def find_instruments(
         described = port.description and port.description != "n/a"
         what: str = Verbatim(port.description) if described else Message("discovery.port", "serial port")
         candidates.append((port.device, what, what))
-    found = []
+    instruments = []
     for url, what, name in candidates:
         if not probe:
-            found.append(FoundInstrument(url, what, None, name=name))
+            instruments.append(FoundInstrument(url, what, None, name=name))
             continue
         try:
             instrument = opener(url)
         except TissueIDError as error:
-            found.append(FoundInstrument(url, what, False, error.message, name))
+            instruments.append(FoundInstrument(url, what, False, error.message, name))
             continue
         device = instrument.device
         instrument.close()
         name = Verbatim(f"{device.model}, {device.serial_number}")
         detail = Message("discovery.answered", "{name}, firmware {version}", name=name, version=device.firmware_version)
-        found.append(FoundInstrument(url, what, True, detail, name))
+        instruments.append(FoundInstrument(url, what, True, detail, name))
     for scheme, driver in sorted(card_schemes().items()):
         what = Message("discovery.card", "driver {name}", name=Verbatim(driver.value))
-        found.append(FoundInstrument(f"{scheme}://", what, None, name=what))
+        instruments.append(FoundInstrument(f"{scheme}://", what, None, name=what))
     for tissue in TISSUES:
         name = Message("discovery.simulated_tissue", "simulation, {tissue}", tissue=Verbatim(tissue))
-        found.append(FoundInstrument(f"{IN_PROCESS}{tissue}", _SIMULATION, True, name=name))
-    return found
+        instruments.append(FoundInstrument(f"{IN_PROCESS}{tissue}", _SIMULATION, True, name=name))
+    return instruments
 
 
 def _running_simulators() -> list[dict[str, Any]]:

@@ -40,11 +40,11 @@ def relative_force_constant(device: DeviceDescription, position_m: Array) -> Arr
     Beyond the positions of the sweep the value at its nearest end is used. 1 where the position is unknown.
     """
     text = device.calibration.get(PROFILE)
-    found = _profile(text) if isinstance(text, str) else None
-    if found is None:
+    profile = _profile(text) if isinstance(text, str) else None
+    if profile is None:
         return None
     position = np.asarray(position_m, dtype=np.float64)
-    return np.where(np.isfinite(position), np.interp(position, *found), 1.0)
+    return np.where(np.isfinite(position), np.interp(position, *profile), 1.0)
 
 
 def recorded_force(samples: NDArray[np.void], device: DeviceDescription) -> Array:

@@ -67,8 +67,8 @@ class _Port:
     def __init__(self, url: str) -> None:
         scheme, separator, _ = url.partition("://")
         if separator and scheme.lower() not in SCHEMES:
-            known = ", ".join(f"{name}://" for name in SCHEMES)
-            raise ValueError(Message("link.scheme", "this kind of address is not supported ({known})", known=known))
+            schemes = ", ".join(f"{name}://" for name in SCHEMES)
+            raise ValueError(Message("link.scheme", "this kind of address is not supported ({known})", known=schemes))
         # Exclusive: a second program, or a search for instruments, must not take samples of a running test.
         self._port = serial.serial_for_url(
             url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=_WRITE_S, exclusive=True

@@ -100,12 +100,12 @@ _REFUSALS: dict[int, Message] = {
 
 def describe_faults(faults: Fault) -> Message:
     """Return the latched faults as one text, each with its remedy; "no fault" where none is latched."""
-    known = [text.message for fault, text in FAULT_TEXTS.items() if fault & faults]
+    texts = [text.message for fault, text in FAULT_TEXTS.items() if fault & faults]
     if int(faults) & ~sum(int(fault) for fault in FAULT_TEXTS):
-        known.append(_UNKNOWN_FAULT)
-    if len(known) > 1:
-        return joined(known, "; ")
-    return known[0] if known else Message("fault.none", "no fault")
+        texts.append(_UNKNOWN_FAULT)
+    if len(texts) > 1:
+        return joined(texts, "; ")
+    return texts[0] if texts else Message("fault.none", "no fault")
 
 
 def released_by_faults(faults: Fault) -> FirmwareFaultError:

@@ -38,21 +38,21 @@ class Variation:
 class SimulatedTissue:
     """Parameters of the tissue, effects, and the variation between repeats.
 
-    ``people`` is the variation between subjects, ``compression_m`` the depth by which tests compress the surface
-    lastingly, ``breath_m`` the amplitude of breathing; they only act if asked for (``of_subject``, ``varied``).
+    ``between_subjects`` is the variation between subjects, ``compression_m`` the depth by which tests compress the
+    surface lastingly, ``breath_m`` the amplitude of breathing; they only act if asked for (``of_subject``, ``varied``).
     """
 
     tissue: Tissue
     effects: Effects = field(default_factory=dict)
     variation: Variation = Variation()
-    people: Variation = Variation()
+    between_subjects: Variation = Variation()
     compression_m: float = 0.0
     breath_m: float = 0.0
 
     def of_subject(self, subject: int) -> SimulatedTissue:
         """Return the same site of another person; a number always gives the same person."""
         random = np.random.default_rng([_PEOPLE, subject])
-        tissue, effects = replace(self, variation=self.people).drawn(random)
+        tissue, effects = replace(self, variation=self.between_subjects).drawn(random)
         return replace(self, tissue=tissue, effects=effects)
 
     def heavier(self, factor: float) -> SimulatedTissue:

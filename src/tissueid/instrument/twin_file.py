@@ -81,10 +81,10 @@ class EffectPart(_Part):
 
     @model_validator(mode="after")
     def _is_known(self) -> EffectPart:
-        known = all_effects().get(self.name)
-        if known is None:
+        effect = all_effects().get(self.name)
+        if effect is None:
             raise ValueError(Message("twin.unknown_effect", "there is no effect {name}", name=self.name))
-        for parameter, value in zip(known.parameters, values_by_name(known, self.parameters).tolist(), strict=True):
+        for parameter, value in zip(effect.parameters, values_by_name(effect, self.parameters).tolist(), strict=True):
             slack = 1e-6 * (parameter.high - parameter.low)
             if not parameter.low - slack <= value <= parameter.high + slack:
                 raise ValueError(_outside(f"{self.name}: {parameter.name}", parameter.low, parameter.high, value))
@@ -197,10 +197,10 @@ def _outside(name: str, low: float, high: float, value: float) -> Message:
 
 
 def _acting(part: EffectPart) -> ActiveEffect:
-    known = all_effects()[part.name]
-    values = values_by_name(known, part.parameters)
-    low, high = (np.array([getattr(item, end) for item in known.parameters]) for end in ("low", "high"))
-    return ActiveEffect(known, np.clip(values, low, high))
+    effect = all_effects()[part.name]
+    values = values_by_name(effect, part.parameters)
+    low, high = (np.array([getattr(item, end) for item in effect.parameters]) for end in ("low", "high"))
+    return ActiveEffect(effect, np.clip(values, low, high))
 
 
 def content_of(twin: NamedTwin, source: TwinSource, created: str, software: str) -> TwinFile:

@@ -95,7 +95,7 @@ class Person:
 
     def tissue(self, site: str, condition: str = "") -> SimulatedTissue:
         """Return the tissue at a site, under a lotion or without one; the instrument varies it from test to test."""
-        kind = replace(TISSUES[SITES[site]], people=PEOPLE)
+        kind = replace(TISSUES[SITES[site]], between_subjects=PEOPLE)
         simulated = kind.of_subject(self.number).heavier(self.mass_factor(site))
         factor, skin = LOTIONS.get(condition, 1.0), simulated.tissue
         stretched = replace(  # depth at constant force divided by the factor
