@@ -251,7 +251,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
     choose(view.audit)
     press(qtbot, view.audit.verify)
     rest(qtbot, window)
-    assert view.audit.words.text().startswith("Intact: ")
+    assert view.audit.verdict_text.text().startswith("Intact: ")
     assert view.audit.verdict.property("level") == "good"
     assert [what for what in logged(audit_file) if what.startswith("calibration.")] == [
         "calibration.begun",

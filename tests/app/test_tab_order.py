@@ -105,7 +105,7 @@ def test_studies(qtbot, on_page, tmp_path, tab):
     idle(qtbot, window)
     seen = check_tabs(qtbot, window)
     assert {page.asking.open, page.asking.measure, page.tabs.tabBar()} <= set(seen)
-    assert (page.tests.words in seen) == (tab == 0)
+    assert (page.tests.search in seen) == (tab == 0)
 
 
 def test_a_sitting_of_a_study(qtbot, on_page, tmp_path):

@@ -117,10 +117,10 @@ def test_rows_are_filtered_and_sorted(qtbot, window, folder):
     assert tests.table.columnSpan(0, 0) == model.columnCount()
     assert shows(tests.count.text(), "study.count", shown=4, count=4, tests=3, sessions=3)
     assert shows(tests.count.text(), "study.without_row", count=1)
-    tests.words.setText("P01 LOTION")
+    tests.search.setText("P01 LOTION")
     assert texts(page, SITE) == ["arm"]
     assert tests.table.columnSpan(0, 0) == 1
-    tests.words.clear()
+    tests.search.clear()
     tests.site.setCurrentIndex(tests.site.findData("leg"))
     assert texts(page, SUBJECT) == ["P02"]
     tests.site.setCurrentIndex(0)

@@ -184,7 +184,7 @@ def test_a_stop_by_a_person_is_no_fault_where_only_the_session_tells_of_it(tmp_p
     folder = tmp_path / "stopped"
     folder.mkdir()
     write_session(folder / "stopped.h5", dataclasses.replace(session, tests=(test,)))
-    (event,) = gather(folder, tmp_path / "no.log", lambda: None).found
+    (event,) = gather(folder, tmp_path / "no.log", lambda: None).entries
     assert (event.kind, event.level) == (kind, level)
 
 
@@ -226,11 +226,11 @@ def test_two_sweeps_are_laid_over_each_other_and_their_drift_is_said(qtbot, page
     table = view.calibrations.list
     where = [table.visualRect(table.model().index(row, 0)).center() for row in range(3)]
     qtbot.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, pos=where[0])
-    assert "select another" in panel.words.text()
+    assert "select another" in panel.headline.text()
     control = Qt.KeyboardModifier.ControlModifier
     qtbot.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, control, QPoint(where[1]))
     assert reads(
-        panel.words.text(),
+        panel.headline.text(),
         "drift.lower",
         quantity="Force constant",
         difference="1.2 %",
@@ -254,7 +254,7 @@ def test_two_sweeps_are_laid_over_each_other_and_their_drift_is_said(qtbot, page
     assert panel.against.isVisible()
     panel.against.setFocus()
     qtbot.keyClick(panel.against, Qt.Key.Key_Down)
-    assert "2025-06-01" in panel.words.text()
+    assert "2025-06-01" in panel.headline.text()
     assert "OTHER" not in panel.key.text()
 
 

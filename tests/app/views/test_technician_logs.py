@@ -94,7 +94,7 @@ def test_empty_folders_and_no_log_are_no_trouble(qtbot, page, tmp_path):
     press(qtbot, view.audit.verify)
     rest(qtbot, view)
     assert shows(view.window_.said[-1], "audit.missing", path=tmp_path / "none.jsonl")
-    assert view.audit.words.text() == "Not verified."
+    assert view.audit.verdict_text.text() == "Not verified."
     assert not view.audit.export.isEnabled()
 
 
@@ -140,12 +140,12 @@ def test_verify_tells_a_whole_log_from_one_that_was_changed(qtbot, page, audit_f
     view = page(AUDIT)
     press(qtbot, view.audit.verify)
     rest(qtbot, view)
-    assert view.audit.words.text().startswith("Intact: 6 lines")
+    assert view.audit.verdict_text.text().startswith("Intact: 6 lines")
     assert view.audit.verdict.property("level") == "good"
     audit_file.write_bytes(audit_file.read_bytes().replace(b'"s2"', b'"x2"'))
     press(qtbot, view.audit.verify)
     rest(qtbot, view)
-    assert begins(view.audit.words.text(), "audit.table.broken", place=4)
+    assert begins(view.audit.verdict_text.text(), "audit.table.broken", place=4)
     assert view.audit.verdict.property("level") == "poor"
     press(qtbot, view.audit.again)
     rest(qtbot, view)
@@ -161,7 +161,7 @@ def test_rubbish_in_place_of_the_log_gives_words(qtbot, page, audit_file):
         assert view.audit.model.rowCount() == 0
         press(qtbot, view.audit.verify)
         rest(qtbot, view)
-        assert view.audit.words.text()
+        assert view.audit.verdict_text.text()
         assert view.audit.verdict.property("level") in ("check", "poor")
 
 

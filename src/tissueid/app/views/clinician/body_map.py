@@ -79,7 +79,7 @@ class Spot:
 def _spots() -> tuple[Spot, ...]:
     """From the front the subject's left is on the right of the drawing; from behind it is on the left."""
     middle = WIDTH / 2
-    found: list[Spot] = []
+    spots: list[Spot] = []
     paired: tuple[tuple[str, Side, float, float], ...] = (
         ("upper arm", "front", 23.5, 58.0),
         ("forearm, anterior", "front", 30.8, 86.0),
@@ -88,11 +88,11 @@ def _spots() -> tuple[Spot, ...]:
         ("calf", "back", 10.5, 163.0),
     )
     for name, side, off, height in paired:
-        left = off if side == "front" else -off
-        found.append(Spot(f"left {name}", side, middle + left, height))
-        found.append(Spot(f"right {name}", side, middle - left, height))
-    found.append(Spot("abdomen", "front", middle, 80.0))
-    return tuple(found)
+        offset = off if side == "front" else -off
+        spots.append(Spot(f"left {name}", side, middle + offset, height))
+        spots.append(Spot(f"right {name}", side, middle - offset, height))
+    spots.append(Spot("abdomen", "front", middle, 80.0))
+    return tuple(spots)
 
 
 SPOTS = _spots()
@@ -101,9 +101,9 @@ SPOTS = _spots()
 def outline() -> QPainterPath:
     """Head and body as one path, a smooth line through the points of both halves."""
     middle = WIDTH / 2
-    right = [QPointF(middle + x, y) for x, y in _HALF]
-    left = [QPointF(middle - x, y) for x, y in reversed(_HALF[:-1])]
-    body = _smooth([*right, *left])
+    right_half = [QPointF(middle + x, y) for x, y in _HALF]
+    left_half = [QPointF(middle - x, y) for x, y in reversed(_HALF[:-1])]
+    body = _smooth([*right_half, *left_half])
     head = QPainterPath()
     head.addEllipse(QPointF(middle, _HEAD[2]), _HEAD[0], _HEAD[1])
     return body.united(head)
@@ -264,28 +264,28 @@ class _Figure(QWidget):
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Put the points where the body now has them."""
         super().resizeEvent(event)
-        scale, left, top = self._fit()
+        scale, x0, y0 = self._fit()
         for point in self.spots:
-            middle = QPointF(left + scale * point.spot.x, top + scale * point.spot.y).toPoint()
+            middle = QPointF(x0 + scale * point.spot.x, y0 + scale * point.spot.y).toPoint()
             point.move(middle.x() - _POINT // 2, middle.y() - _POINT // 2)
 
     def paintEvent(self, _event: QPaintEvent) -> None:  # noqa: N802
         """The outline, with the subject's sides named."""
         colours = self.palette()
-        scale, left, top = self._fit()
+        scale, x0, y0 = self._fit()
         line = QColor(colours.color(QPalette.ColorRole.PlaceholderText))
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         names = (_("right"), _("left")) if self._side == "front" else (_("left"), _("right"))
         painter.setPen(line)
         width = scale * WIDTH / 2
-        for place, name in enumerate(names):
+        for index, name in enumerate(names):
             painter.drawText(
-                QRectF(left + place * width, top + scale * 2.0, width, 18.0),
-                (Qt.AlignmentFlag.AlignLeft, Qt.AlignmentFlag.AlignRight)[place],
+                QRectF(x0 + index * width, y0 + scale * 2.0, width, 18.0),
+                (Qt.AlignmentFlag.AlignLeft, Qt.AlignmentFlag.AlignRight)[index],
                 name,
             )
-        painter.translate(left, top)
+        painter.translate(x0, y0)
         painter.scale(scale, scale)
         pen = QPen(line, 1.5)
         pen.setCosmetic(True)

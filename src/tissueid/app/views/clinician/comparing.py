@@ -94,7 +94,7 @@ class SittingComparison:
     @property
     def remark(self) -> str:
         """What to bear in mind where several instruments are compared; empty otherwise."""
-        return _OF_OTHERS if any(one.other_instrument for one in self.sightings) else ""
+        return _OF_OTHERS if any(sighting.other_instrument for sighting in self.sightings) else ""
 
 
 @dataclass
@@ -116,7 +116,7 @@ def compare_with(
     if session.subject.pseudonym == ANONYMOUS:
         return SittingComparison()
     mine, skipped = _files_of(folder, session.subject.pseudonym, path, cancelled)
-    found: list[Sighting] = []
+    sightings: list[Sighting] = []
     for file in [path, *mine[:MOST_READ]]:
         if cancelled.is_set():
             return SittingComparison(left_out=Message("comparison.cancelled", "The comparison was cancelled."))
@@ -125,31 +125,35 @@ def compare_with(
             key = (file, state.st_mtime_ns, state.st_size)
             if key not in shelf.kept:
                 shelf.kept[key] = tuple(_sightings(session if file == path else read_session(file)))
-            found += shelf.kept[key]
+            sightings += shelf.kept[key]
         except (TissueIDError, OSError):
             skipped += 1
     here = (str(test.notes.get("sitting") or session.session_id), test.site)
     joined = [
-        replace(one, this=(one.key, one.site) == here, other_instrument=one.instrument != _instrument(session))
-        for one in _joined(found)
+        replace(
+            sighting,
+            this=(sighting.key, sighting.site) == here,
+            other_instrument=sighting.instrument != _instrument(session),
+        )
+        for sighting in _joined(sightings)
     ]
-    joined.sort(key=lambda one: one.created, reverse=True)
+    joined.sort(key=lambda sighting: sighting.created, reverse=True)
     shown = joined[:MOST_SHOWN]
-    if not any(one.this for one in shown):
-        shown = [*shown[: MOST_SHOWN - 1], *(one for one in joined if one.this)]
-    words = []
+    if not any(sighting.this for sighting in shown):
+        shown = [*shown[: MOST_SHOWN - 1], *(sighting for sighting in joined if sighting.this)]
+    remarks = []
     if len(mine) > MOST_READ or len(joined) > len(shown):
-        words.append(Message("comparison.newest", "Only the newest {count} sittings are shown.", count=len(shown)))
+        remarks.append(Message("comparison.newest", "Only the newest {count} sittings are shown.", count=len(shown)))
     if skipped == 1:
-        words.append(Message("comparison.file_skipped", "1 file was passed over."))
+        remarks.append(Message("comparison.file_skipped", "1 file was passed over."))
     elif skipped:
-        words.append(Message("comparison.files_skipped", "{count} files were passed over.", count=skipped))
+        remarks.append(Message("comparison.files_skipped", "{count} files were passed over.", count=skipped))
     said, study = changes(joined), of_study(path, test, shelf, cancelled)
-    this = next((one for one in joined if one.this), None)
+    this = next((sighting for sighting in joined if sighting.this), None)
     if study is not None and this is not None:
         said |= {name: sentences(said.get(name, ""), text) for name, text in against(study, this).items()}
         shown.append(study)
-    return SittingComparison(tuple(shown), sentences(*words) if words else "", said)
+    return SittingComparison(tuple(shown), sentences(*remarks) if remarks else "", said)
 
 
 def of_study(path: Path, test: Test, shelf: Shelf, cancelled: threading.Event) -> Sighting | None:
@@ -232,11 +236,15 @@ def changes(sightings: Sequence[Sighting]) -> dict[str, str]:
     A difference counts if it is larger than the repeatability, the root mean square of that of both sittings.
     ``sightings`` are the newest first.
     """
-    this = next((one for one in sightings if one.this), None)
+    this = next((sighting for sighting in sightings if sighting.this), None)
     if this is None:
         return {}
-    earlier = (one for one in sightings if one.created < this.created and not one.this and one.site == this.site)
-    before = next((one for one in earlier if not one.other_instrument), None)
+    earlier = (
+        sighting
+        for sighting in sightings
+        if sighting.created < this.created and not sighting.this and sighting.site == this.site
+    )
+    before = next((sighting for sighting in earlier if not sighting.other_instrument), None)
     if before is None:
         return {}
     date = (local_minute(before.created) or before.created)[:10]
@@ -271,7 +279,7 @@ def _files_of(folder: Path, pseudonym: str, path: Path, cancelled: threading.Eve
         files.sort(key=lambda file: file.stat().st_mtime, reverse=True)
     except OSError:
         return [], 0
-    found: list[tuple[str, Path]] = []
+    dated: list[tuple[str, Path]] = []
     skipped = 0
     for file in files[:MOST_LOOKED_AT]:
         if cancelled.is_set():
@@ -286,8 +294,8 @@ def _files_of(folder: Path, pseudonym: str, path: Path, cancelled: threading.Eve
         except (TissueIDError, OSError):
             skipped += 1
             continue
-        found.append((head.created, file))
-    return [file for _, file in sorted(found, reverse=True)], skipped
+        dated.append((head.created, file))
+    return [file for _, file in sorted(dated, reverse=True)], skipped
 
 
 def _sightings(session: Session) -> Iterable[Sighting]:
@@ -312,23 +320,27 @@ def _instrument(session: Session) -> str:
     return f"{session.instrument.model} {session.instrument.serial_number}"
 
 
-def _joined(found: Sequence[Sighting]) -> list[Sighting]:
+def _joined(sightings: Sequence[Sighting]) -> list[Sighting]:
     """Sightings of one sitting at one site as one: their mean, with the deviation of one test among them."""
     groups: dict[tuple[str, str], list[Sighting]] = {}
-    for one in found:
-        groups.setdefault((one.key, one.site), []).append(one)
+    for sighting in sightings:
+        groups.setdefault((sighting.key, sighting.site), []).append(sighting)
     return [group[0] if len(group) == 1 else _mean(group) for group in groups.values()]
 
 
 def _mean(group: Sequence[Sighting]) -> Sighting:
     values = {}
     for name in QUANTITIES:
-        known = [one.values[name] for one in group if name in one.values and math.isfinite(one.values[name].value)]
-        if (said := together(known)) is not None:
+        estimates = [
+            sighting.values[name]
+            for sighting in group
+            if name in sighting.values and math.isfinite(sighting.values[name].value)
+        ]
+        if (said := together(estimates)) is not None:
             values[name] = Estimate(said.mean, said.std)
-        elif known:
-            values[name] = Estimate(known[0].value, None)
-    return replace(group[0], values=values, count=len(group), created=max(one.created for one in group))
+        elif estimates:
+            values[name] = Estimate(estimates[0].value, None)
+    return replace(group[0], values=values, count=len(group), created=max(sighting.created for sighting in group))
 
 
 _ROW = 17
@@ -351,8 +363,8 @@ class ComparisonCard(QFrame):
         self.heading = styled(
             QLabel(_("Compared with the subject's other sites and sittings")), role="heading", minimum_width=1
         )
-        self.words, self.cancel = label("field"), button(_("Cancel comparison"))
-        top = fill(FoldingBox(_ONE_ROW), self.heading, (self.words, 1), self.cancel, margins=(2, 0, 0, 0))
+        self.remarks, self.cancel = label("field"), button(_("Cancel comparison"))
+        top = fill(FoldingBox(_ONE_ROW), self.heading, (self.remarks, 1), self.cancel, margins=(2, 0, 0, 0))
         self.cards: list[PlotCanvas] = []
         self._plots: list[Plot] = []
         self._layout = fill(QVBoxLayout(self), top, spacing=3)
@@ -361,7 +373,7 @@ class ComparisonCard(QFrame):
 
     def expect(self) -> None:
         """The folder is being read."""
-        self.words.setText(_(READING))
+        self.remarks.setText(_(READING))
         self.cancel.show()
         for card in self.cards:
             card.hide()
@@ -379,13 +391,13 @@ class ComparisonCard(QFrame):
             self.hide()
             return
         self._build_plots()
-        self.words.setText(" ".join(map(translated, filter(None, [comparison.remark, comparison.left_out]))))
+        self.remarks.setText(" ".join(map(translated, filter(None, [comparison.remark, comparison.left_out]))))
         self._plots = [_plot_of(quantity, sightings) for quantity in QUANTITIES]
         for card in self.cards:
             card.setFixedHeight(_AROUND + _ROW * max(3, len(sightings)))
             card.show()
         self._show_plots()
-        said = "; ".join(f"{one.label}{', ' + _(THIS) if one.this else ''}" for one in sightings)
+        said = "; ".join(f"{sighting.label}{', ' + _(THIS) if sighting.this else ''}" for sighting in sightings)
         self.setAccessibleName(_("Comparison of {count} sittings: {said}").format(count=len(sightings), said=said))
         self.show()
 
@@ -394,12 +406,12 @@ class ComparisonCard(QFrame):
             return
         row = FoldingBox(_ONE_ROW)
         row.setSpacing(8)
-        for place, quantity in enumerate(QUANTITIES):
+        for index, quantity in enumerate(QUANTITIES):
             card = PlotCanvas(_(label_and_unit(quantity)[0]))
             card.focus = Qt.FocusPolicy.ClickFocus  # the page is scrolled by keys, not stop by stop
             self.cards.append(card)
-            row.addWidget(card, 0 if place else 1)
-            row.setStretch(place, 30 if place else 47)
+            row.addWidget(card, 0 if index else 1)
+            row.setStretch(index, 30 if index else 47)
         self._layout.addLayout(row)
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
@@ -413,10 +425,10 @@ class ComparisonCard(QFrame):
 
     def _show_plots(self) -> None:
         """Draw the plots; those right of another one have neither names of the rows nor a key."""
-        for place, (card, plot) in enumerate(zip(self.cards, self._plots, strict=False)):
-            named = place == 0 or self._folded
+        for index, (card, plot) in enumerate(zip(self.cards, self._plots, strict=False)):
+            named = index == 0 or self._folded
             ticks = plot.y.ticks if named else tuple((row, "") for row, _name in plot.y.ticks)
-            card.show_plots([replace(plot, y=replace(plot.y, ticks=ticks))], key=place == 0)
+            card.show_plots([replace(plot, y=replace(plot.y, ticks=ticks))], key=index == 0)
 
 
 def _plot_of(quantity: str, sightings: Sequence[Sighting]) -> Plot:
@@ -427,11 +439,13 @@ def _plot_of(quantity: str, sightings: Sequence[Sighting]) -> Plot:
 
     label, si_unit = label_and_unit(quantity)
     unit, scale = display_unit(si_unit)
-    found = [one.values.get(quantity) for one in sightings]
-    values = np.array([np.nan if one is None else scale * one.value for one in found])
-    std = np.array([np.nan if one is None or one.std is None else scale * one.std for one in found])
-    this = np.array([one.this for one in sightings])
+    estimates = [sighting.values.get(quantity) for sighting in sightings]
+    values = np.array([np.nan if estimate is None else scale * estimate.value for estimate in estimates])
+    std = np.array(
+        [np.nan if estimate is None or estimate.std is None else scale * estimate.std for estimate in estimates]
+    )
+    this = np.array([sighting.this for sighting in sightings])
     groups = ((_OTHERS, "measured", np.flatnonzero(~this)), (THIS, "model", np.flatnonzero(this)))
-    names = [Verbatim(one.label) for one in sightings]
+    names = [Verbatim(sighting.label) for sighting in sightings]
     plot = rows_plot(label, Axis(marked("± one SD"), unit), names, values, std, groups)
     return replace(plot, note=_LEGEND)

@@ -159,7 +159,7 @@ class Sitting:
     @property
     def places(self) -> list[int]:
         """Places from 1 of the repeats that count, among all of the sitting."""
-        return [place for place, repeat in enumerate(self.repeats, 1) if repeat.counts]
+        return [number for number, repeat in enumerate(self.repeats, 1) if repeat.counts]
 
     @property
     def folders(self) -> list[Path]:
@@ -177,9 +177,9 @@ class Sitting:
         counting = self.counting
         if len(counting) == 1:
             return {
-                name: AcceptedValue(mean=found.value, std=found.std)
-                for name, found in counting[0].values.items()
-                if math.isfinite(found.value)
+                name: AcceptedValue(mean=estimate.value, std=estimate.std)
+                for name, estimate in counting[0].values.items()
+                if math.isfinite(estimate.value)
             }
         return {
             name: AcceptedValue(mean=said.mean, std=said.std, repeatability=said.repeatability, count=said.count)
@@ -194,11 +194,11 @@ class Sitting:
     @property
     def together(self) -> dict[str, Together]:
         """Mean and repeatability by quantity; empty for fewer than two repeats."""
-        found = {
+        means = {
             name: together([repeat.values[name] for repeat in self.counting if name in repeat.values])
             for name in QUANTITIES
         }
-        return {name: said for name, said in found.items() if said is not None}
+        return {name: said for name, said in means.items() if said is not None}
 
     def holds(self, path: Path) -> bool:
         """Whether a file is one of its tests."""
@@ -211,8 +211,8 @@ def values_of(analyses: Mapping[str, Analysis]) -> dict[str, Estimate]:
 
     name = linear_engine(analyses)
     parameters = analyses[name].model.report.reportable_parameters if name is not None else {}
-    found = {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}
-    return {quantity: value for quantity, value in found.items() if value.std is not None}
+    estimates = {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}
+    return {quantity: value for quantity, value in estimates.items() if value.std is not None}
 
 
 def repeat_of(findings: Findings) -> Repeat:
@@ -268,9 +268,9 @@ def standing(sitting: Sitting | None, result: AcceptedResult | None, shown: Find
                 Message("sitting.accepted_mean", "Accepted result: mean of {count} repeats", count=result.count)
             )
         else:
-            one = Message("sitting.accepted_this", "Accepted result: this test")
-            other = Message("sitting.accepted_other", "Accepted result: another test of this sitting")
-            heading = translated(one if inside else other)
+            this_test = Message("sitting.accepted_this", "Accepted result: this test")
+            other_test = Message("sitting.accepted_other", "Accepted result: another test of this sitting")
+            heading = translated(this_test if inside else other_test)
         remarks = [] if inside else [_("The test that is shown below does not belong to it.")]
         values = {name: value for name, value in result.values.items() if name in QUANTITIES}
         tests = _("Tests: {names}").format(names=", ".join(test.file for test in result.tests))

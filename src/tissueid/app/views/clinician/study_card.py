@@ -59,17 +59,17 @@ class SittingMap(QWidget):
         painter.setFont(font)
         width = self.width() / len(_SIDES)
         scale = min(width / WIDTH, (self.height() - _CAPTION) / HEIGHT)
-        for place, (side, caption) in enumerate(zip(_SIDES, (_("Front"), _("Back")), strict=True)):
-            left = place * width + (width - scale * WIDTH) / 2
-            self._draw_side(painter, side, scale, left)
+        for index, (side, caption) in enumerate(zip(_SIDES, (_("Front"), _("Back")), strict=True)):
+            x0 = index * width + (width - scale * WIDTH) / 2
+            self._draw_side(painter, side, scale, x0)
             painter.setPen(QColor(appearance.theme.muted))
-            area = QRectF(place * width, self.height() - _CAPTION, width, _CAPTION)
+            area = QRectF(index * width, self.height() - _CAPTION, width, _CAPTION)
             painter.drawText(area, Qt.AlignmentFlag.AlignCenter, caption)
         painter.end()
 
-    def _draw_side(self, painter: QPainter, side: Side, scale: float, left: float) -> None:
+    def _draw_side(self, painter: QPainter, side: Side, scale: float, x0: float) -> None:
         painter.save()
-        painter.translate(left, 0.0)
+        painter.translate(x0, 0.0)
         painter.scale(scale, scale)
         pen = QPen(QColor(appearance.theme.muted), 1.2)
         pen.setCosmetic(True)
@@ -79,7 +79,7 @@ class SittingMap(QWidget):
         painter.restore()
         shown = [spot for spot in SPOTS if spot.side == side and spot.site in self.sites]
         for spot in sorted(shown, key=lambda spot: spot.site == self.next_site):
-            self._draw_site(painter, spot, QPointF(left + scale * spot.x, scale * spot.y))
+            self._draw_site(painter, spot, QPointF(x0 + scale * spot.x, scale * spot.y))
 
     def _draw_site(self, painter: QPainter, spot: Spot, at: QPointF) -> None:
         accent, good = QColor(appearance.theme.accent), QColor(appearance.theme.good)
@@ -124,10 +124,10 @@ class StudyCard(QFrame):
         self.leave = button(_("Leave"), role="small", name=_("Leave the sitting of the study"), tip=leaving)
         self.next_subject = button(_("Next subject…"), role="small", tip=_("Leave, and choose a subject of the study"))
         self.buttons = self.data, self.photograph, self.leave, self.next_subject
-        words = column(self.progress_text, self.site, self.test, self.condition, self.remark, None, spacing=2)
+        texts = column(self.progress_text, self.site, self.test, self.condition, self.remark, None, spacing=2)
         holder = QWidget()
         fill(FoldingBox(_BUTTONS_IN_A_ROW, holder), *self.buttons)
-        fill(QVBoxLayout(self), self.heading, row(self.map, (words, 1), spacing=8), self.bar, holder, margins=(8,))
+        fill(QVBoxLayout(self), self.heading, row(self.map, (texts, 1), spacing=8), self.bar, holder, margins=(8,))
         self.hide()
 
     def show_state(self, state: SittingState, *, moved: bool) -> None:
@@ -163,5 +163,5 @@ class StudyCard(QFrame):
 
     def update_enabled(self, *, busy: bool) -> None:
         """Disable the buttons while a job runs."""
-        for one in self.buttons:
-            one.setEnabled(not busy)
+        for widget in self.buttons:
+            widget.setEnabled(not busy)

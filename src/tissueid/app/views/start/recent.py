@@ -75,10 +75,10 @@ class Recent:
     study: str = ""
     accepted: str = ""
 
-    def matches(self, words: Sequence[str]) -> bool:
+    def matches(self, terms: Sequence[str]) -> bool:
         """Return whether each of some words, in lower case, is in the date, site, subject, study or verdict."""
         text = " ".join((self.date, self.site, self.subject, self.study, self.verdict)).casefold()
-        return all(word in text for word in words)
+        return all(word in text for word in terms)
 
 
 File = tuple[Path, float, int]
@@ -106,7 +106,7 @@ class FolderLook:
 def look_into(
     folder: Path,
     cancelled: threading.Event,
-    known: KnownFiles | None = None,
+    cache: KnownFiles | None = None,
     *,
     studies: Iterable[Path] = (),
     search: str = "",
@@ -115,10 +115,10 @@ def look_into(
 
     Studies are those below the folder and the given ones; their sessions lie in folders by subject. A folder that is
     not there yet is empty. Files come from anywhere: one that is no session has a line that says so. Ends soon once
-    ``cancelled`` is set. ``known`` keeps what was read from one look to the next. With ``search`` only sittings that
+    ``cancelled`` is set. ``cache`` keeps what was read from one look to the next. With ``search`` only sittings that
     have all its words are listed.
     """
-    known = known or KnownFiles()
+    cache = cache or KnownFiles()
     try:
         places = dict.fromkeys(folder.glob("*.h5"), "")
         journals = tuple(unfinished_journals(folder))
@@ -132,17 +132,17 @@ def look_into(
         with contextlib.suppress(OSError):
             if path.is_file():
                 files.append((path, path.stat()))
-    dated = _dated(files, known, cancelled)
+    dated = _dated(files, cache, cancelled)
     sittings: dict[str, list[Recent]] = {}
-    words = search.casefold().split()
+    terms = search.casefold().split()
     for recorded, file in dated:
         if cancelled.is_set():
             break
-        if file not in known.lines:
+        if file not in cache.lines:
             key, line = _line(file[0], recorded)
-            known.lines[file] = key, replace(line, study=clean(places[file[0]]))
-        key, line = known.lines[file]
-        if not line.matches(words):
+            cache.lines[file] = key, replace(line, study=clean(places[file[0]]))
+        key, line = cache.lines[file]
+        if not line.matches(terms):
             continue
         if key not in sittings and len(sittings) == MOST_SHOWN:
             break
@@ -151,7 +151,7 @@ def look_into(
 
 
 def _dated(
-    files: Sequence[tuple[Path, os.stat_result]], known: KnownFiles, cancelled: threading.Event
+    files: Sequence[tuple[Path, os.stat_result]], cache: KnownFiles, cancelled: threading.Event
 ) -> list[tuple[float, File]]:
     """When each file was recorded, newest first: by its name, by its head, or by its change where neither says so."""
     dated: list[tuple[float, File]] = []
@@ -159,10 +159,10 @@ def _dated(
     for path, state in sorted(files, key=lambda item: item[1].st_mtime, reverse=True):
         recorded = _by_name(path.name)
         key = (path, state.st_mtime, state.st_size)
-        if recorded is None and key not in known.dates and read < MOST_READ and not cancelled.is_set():
+        if recorded is None and key not in cache.dates and read < MOST_READ and not cancelled.is_set():
             read += 1
-            known.dates[key] = _by_head(path) or state.st_mtime
-        dated.append((recorded if recorded is not None else known.dates.get(key, state.st_mtime), key))
+            cache.dates[key] = _by_head(path) or state.st_mtime
+        dated.append((recorded if recorded is not None else cache.dates.get(key, state.st_mtime), key))
     return sorted(dated, reverse=True)
 
 
@@ -217,11 +217,11 @@ def _said(result: AcceptedResult) -> str:
     for quantity, value in result.values.items():
         unit, scale = shown_si(label_and_unit(quantity)[1])
         values.append(f"{number(scale * value.mean, 3)} {unit}")
-    words = ", ".join(values)
+    text = ", ".join(values)
     if result.count == 1:
-        return _("accepted {values}").format(values=words)
+        return _("accepted {values}").format(values=text)
     return translated(
-        Message("start.accepted_mean", "accepted mean of {count}: {values}", count=result.count, values=words)
+        Message("start.accepted_mean", "accepted mean of {count}: {values}", count=result.count, values=text)
     )
 
 
@@ -231,8 +231,8 @@ def _line(path: Path, recorded: float) -> tuple[str, Recent]:
     try:
         outline = read_outline(path)
     except (TissueIDError, OSError) as error:
-        words = in_words(error).replace(f"{path}: ", "").replace(f"{path} ", "")
-        said = _short(sentence(words), _LONGEST_PROBLEM)
+        reason = in_words(error).replace(f"{path}: ", "").replace(f"{path} ", "")
+        said = _short(sentence(reason), _LONGEST_PROBLEM)
         return str(path), Recent(path, date, clean(path.name)[:LONGEST_TEXT], MISSING, said)
     tests = [item.test for item in outline.tests]
     sites = list(dict.fromkeys(clean(test.site).strip() for test in tests if test.site.strip()))

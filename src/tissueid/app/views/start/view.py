@@ -89,12 +89,12 @@ class Rows(QTableWidget):
         """Show other lines; the row that is selected stays so."""
         kept = min(self.chosen, len(rows) - 1)
         self.setRowCount(len(rows))
-        for place, line in enumerate(rows):
+        for index, line in enumerate(rows):
             for column, (text, level) in enumerate(line):
                 item = QTableWidgetItem(text)
                 item.setToolTip(text)
                 item.setData(_LEVEL, level)
-                self.setItem(place, column, item)
+                self.setItem(index, column, item)
         self._colour()
         self._share_room()
         if kept >= 0:
@@ -118,15 +118,15 @@ class Rows(QTableWidget):
         header.resizeSections(QHeaderView.ResizeMode.ResizeToContents)
         wanted = [max(self.sizeHintForColumn(c), header.sectionSizeHint(c)) for c in self._stretched]
         others = sum(self.columnWidth(c) for c in range(self.columnCount()) if c not in self._stretched)
-        left = max(0, self.viewport().width() - others)
+        remaining = max(0, self.viewport().width() - others)
         # Narrowest first: a column that needs less than an equal share gets its need, the longest texts share the rest.
         places = sorted(range(len(wanted)), key=wanted.__getitem__)
-        for number, place in enumerate(places):
-            share = left // (len(places) - number)
-            spare = max(0, left - sum(wanted[other] for other in places[number:])) // (len(places) - number)
-            width = share if number == len(places) - 1 else min(wanted[place] + spare, share)
-            self.setColumnWidth(self._stretched[place], width)
-            left -= width
+        for number, index in enumerate(places):
+            share = remaining // (len(places) - number)
+            spare = max(0, remaining - sum(wanted[other] for other in places[number:])) // (len(places) - number)
+            width = share if number == len(places) - 1 else min(wanted[index] + spare, share)
+            self.setColumnWidth(self._stretched[index], width)
+            remaining -= width
         self.resizeRowsToContents()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
@@ -143,9 +143,9 @@ class Rows(QTableWidget):
     def _colour(self) -> None:
         theme = appearance.theme
         colours = {"good": theme.good, "check": theme.check, "poor": theme.poor}
-        for place in range(self.rowCount()):
+        for index in range(self.rowCount()):
             for column in range(self.columnCount()):
-                if (item := self.item(place, column)) is not None:
+                if (item := self.item(index, column)) is not None:
                     item.setForeground(QColor(colours.get(item.data(_LEVEL), theme.text)))
 
 
@@ -275,9 +275,9 @@ class StartView(View):
         self._stale = True
         self.refresh_timer.start()
 
-    def show_instruments(self, known: Mapping[str, tuple[str, CalibrationState]], chosen: str) -> None:
+    def show_instruments(self, instruments: Mapping[str, tuple[str, CalibrationState]], chosen: str) -> None:
         """Show what was found, its state, a message, and calibration; ``chosen`` is what the next test is with."""
-        self._urls = list(known)
+        self._urls = list(instruments)
         self.instruments.fill(
             [
                 (
@@ -285,12 +285,12 @@ class StartView(View):
                     (brief(clean(translated(health))), _LEVELS.get(code_of(health), "")),
                     (clean(_calibration(state)), state.level),
                 )
-                for url, (health, state) in known.items()
+                for url, (health, state) in instruments.items()
             ]
         )
-        for place, (url, (health, state)) in enumerate(known.items()):
+        for index, (url, (health, state)) in enumerate(instruments.items()):
             lines_of_tip = clean(url), translated(health), _(state.summary), *state.warnings
-            self.instruments.explain(place, "\n".join(lines_of_tip))
+            self.instruments.explain(index, "\n".join(lines_of_tip))
         self.about_instruments.setText(
             _("The next test is with {url}.").format(url=clean(chosen)) if chosen else _("None is chosen.")
         )
@@ -378,9 +378,9 @@ class StartView(View):
             self._cancelled.set()
         self.refresh_timer.start()
 
-    def _looking_failed(self, words: str) -> None:
+    def _looking_failed(self, message: str) -> None:
         self._reading = False
-        self.about_recent.setText(words)
+        self.about_recent.setText(message)
 
     def _when_idle(self, action: Callable[[], None]) -> None:
         """Run at once, or as soon as the folder is read, but not while another job runs."""
@@ -441,9 +441,9 @@ class StartView(View):
         page = QWidget()
         beside = self.search, self.stop_reading, self.open
         sessions = under_heading(_("Recent sessions"), self.about_recent, self.recent, *beside)
-        found = self.about_instruments, self.instruments, self.use, self.seek
+        instruments = self.about_instruments, self.instruments, self.use, self.seek
         columns = fill(
-            FoldingBox(_TWO_COLUMNS), (sessions, 1), (under_heading(_("Instruments"), *found), 1), spacing=16
+            FoldingBox(_TWO_COLUMNS), (sessions, 1), (under_heading(_("Instruments"), *instruments), 1), spacing=16
         )
         cards = row(*((card, 1) for card in self.cards.values()), spacing=10)
         parts = (
@@ -482,10 +482,10 @@ class StartView(View):
         said = label(text=f"{_(RESEARCH_USE)} {_('Nothing leaves this computer.')} {_(HINT)}")
         grid.addWidget(said, 0, 0, 1, 4)
         grid.addWidget(self.folder, 0, 4)
-        for place, (what, where) in enumerate(storage_locations(self.context.services, self.context.settings)):
+        for index, (what, where) in enumerate(storage_locations(self.context.services, self.context.settings)):
             named, path = styled(QLabel(what), role="field"), label("readout", clean(where), tip=clean(where))
-            grid.addWidget(named, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
-            grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
+            grid.addWidget(named, 1 + index // 2, 2 * (index % 2), Qt.AlignmentFlag.AlignTop)
+            grid.addWidget(path, 1 + index // 2, 2 * (index % 2) + 1, 1, 1 + index % 2)
         pairs = [row(*pair, None, spacing=24, margins=(0, 0, 16, 0)) for pair in (self.choosers[:2], self.choosers[2:])]
         grid.addLayout(fill(FoldingBox(_ONE_ROW), pairs[0], (pairs[1], 1), spacing=8), 4, 0, 1, 5)
         return foot

@@ -195,8 +195,8 @@ class RequestRow(QFrame):
 
     def restore(self, settings: QSettings) -> Path | None:
         """Restore the choices; return the folder of the last study, if it is still there."""
-        place = self.engine.findData(str(settings.value(_ENGINE, "")))
-        self.engine.setCurrentIndex(place if place >= 0 else self.engine.currentIndex())
+        index = self.engine.findData(str(settings.value(_ENGINE, "")))
+        self.engine.setCurrentIndex(index if index >= 0 else self.engine.currentIndex())
         self._take_options(tuple(load_texts(settings, _OPTIONS)))
         self._studies = load_texts(settings, _RECENT)[:_MOST_RECENT]
         self._offer_recent()
@@ -279,7 +279,10 @@ class ProtocolDialog(QDialog):
         columns = _("Product"), *(_(info.title or name) for name, info in Circumstances.model_fields.items())
         self.conditions = _Rows(columns, _("Conditions"))
         self.conditions.setToolTip(_("One line for each; an empty product means none"))
-        given = ((one.product, *one.model_dump(exclude={"product"}).values()) for one in protocol.conditions)
+        given = (
+            (condition.product, *condition.model_dump(exclude={"product"}).values())
+            for condition in protocol.conditions
+        )
         self.conditions.fill(list(given))
         self.order = choice({"fixed": _("As listed"), "randomised": _("Shuffled for each subject")})
         self.order.setCurrentIndex(self.order.findData(protocol.order))
@@ -331,9 +334,9 @@ class ProtocolDialog(QDialog):
             "attempts": self.attempts.value(),
             "photograph": self.photograph.isChecked(),
         }
-        found = parse_protocol(values, PROTOCOL_FILE)
-        check_tests(found, PROTOCOL_FILE)
-        return found
+        protocol = parse_protocol(values, PROTOCOL_FILE)
+        check_tests(protocol, PROTOCOL_FILE)
+        return protocol
 
     def _judge(self) -> None:
         """Say how long a visit is, or what is wrong."""
@@ -406,7 +409,7 @@ class _Rows(QWidget):
     def rows(self) -> list[tuple[str, ...]]:
         """The texts of each row."""
         places = range(self.table.columnCount())
-        items = ([self.table.item(line, place) for place in places] for line in range(self.table.rowCount()))
+        items = ([self.table.item(line, column) for column in places] for line in range(self.table.rowCount()))
         return [tuple("" if item is None else item.text().strip() for item in line) for line in items]
 
     def fill(self, rows: Sequence[Sequence[Any]]) -> None:

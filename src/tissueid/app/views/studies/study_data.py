@@ -44,12 +44,12 @@ class StudyFigures:
     remarks: tuple[str, ...] = ()
 
 
-def figures_of(found: StudyStatistics) -> StudyFigures:
+def figures_of(statistics: StudyStatistics) -> StudyFigures:
     """Compute the figures of the statistics."""
     from tissueid.reports.study_page import OF_SEVERAL, simulated_line, study_plots
 
     groups = []
-    for _key, heading, plots in study_plots(found):
+    for _key, heading, plots in study_plots(statistics):
         names = principal_first(plots)
         labels = [
             _("all parameters")
@@ -60,18 +60,18 @@ def figures_of(found: StudyStatistics) -> StudyFigures:
             for name in names
         ]
         groups.append((heading, tuple((label, plots[name]()) for label, name in zip(labels, names, strict=True))))
-    simulated = simulated_line(found)
-    remarks = (*([simulated] if simulated else []), *(translated(remark) for remark in found.remarks))
+    simulated = simulated_line(statistics)
+    remarks = (*([simulated] if simulated else []), *(translated(remark) for remark in statistics.remarks))
     return StudyFigures(tuple(group for group in groups if group[1]), remarks)
 
 
 def keep_figures(folder: Path, figures: StudyFigures) -> None:
     """Keep the figures of the table of a study; errors of the disk only cost the next start its figures."""
     content = {"of": _state(folder), "groups": _plain(figures.groups), "remarks": list(figures.remarks)}
-    place = _place(folder)
+    file = _place(folder)
     try:
-        write_private(private_folder(place.parent) / place.name, json.dumps(content))
-        kept = sorted(place.parent.iterdir(), key=lambda path: path.stat().st_mtime)
+        write_private(private_folder(file.parent) / file.name, json.dumps(content))
+        kept = sorted(file.parent.iterdir(), key=lambda path: path.stat().st_mtime)
         for path in kept[:-_MOST_STUDIES]:
             path.unlink()
     except OSError:
@@ -144,7 +144,7 @@ class TestRow:
     """A test of the table, or a session without one (``is_test`` is False): ``problem`` says why.
 
     ``repeat`` is 0 for a test that does not count. ``values`` and ``stds`` are by parameter, SI, and NaN where the
-    engine gave none. ``words`` is what a search looks through, folded.
+    engine gave none. ``search_text`` is what a search looks through, folded.
     """
 
     __test__ = False
@@ -161,7 +161,7 @@ class TestRow:
     problem: str = ""
     values: tuple[float, ...] = ()
     stds: tuple[float, ...] = ()
-    words: str = ""
+    search_text: str = ""
     is_test: bool = True
 
 
@@ -244,9 +244,9 @@ def report_and_load(plan: StudyReportPlan, control: Control) -> tuple[Path, Stud
     """
     from tissueid.procedures.study_run import report_study
 
-    found = report_study(plan, control)
-    keep_figures(plan.folder, figures_of(found.statistics))
-    return found.page, load_study(plan.folder)
+    report = report_study(plan, control)
+    keep_figures(plan.folder, figures_of(report.statistics))
+    return report.page, load_study(plan.folder)
 
 
 def compute_figures(folder: Path, control: Control) -> StudyFigures:
@@ -271,9 +271,9 @@ def compute_figures(folder: Path, control: Control) -> StudyFigures:
         raise UnusableInputError(
             "study.no_table", "{folder} has no table yet: analyse its sessions first", folder=str(folder)
         ) from error
-    found = figures_of(study_statistics(table, read_curves(folder / RESULTS / CURVES_FILE)))
-    keep_figures(folder, found)
-    return found
+    figures = figures_of(study_statistics(table, read_curves(folder / RESULTS / CURVES_FILE)))
+    keep_figures(folder, figures)
+    return figures
 
 
 def _read_table(path: Path) -> tuple[list[TestRow], tuple[str, ...]]:
@@ -303,7 +303,7 @@ class _Reader:
     """Makes rows from the cells of lines."""
 
     def __init__(self, head: Sequence[str], parameters: Sequence[str]) -> None:
-        self._at = {name: place for place, name in enumerate(head)}
+        self._at = {name: index for index, name in enumerate(head)}
         self._values = [self._at[name] for name in parameters]
         self._stds = [self._at[f"{name}{STD_SUFFIX}"] for name in parameters]
 
@@ -319,14 +319,14 @@ class _Reader:
             self._text(cells, "engine"),
             _number(self._text(cells, "vaf_percent")),
             self._text(cells, "problem"),
-            tuple(_number(cells[place]) for place in self._values),
-            tuple(_number(cells[place]) for place in self._stds),
+            tuple(_number(cells[index]) for index in self._values),
+            tuple(_number(cells[index]) for index in self._stds),
         )
         return _searched(row)
 
     def _text(self, cells: Sequence[str], name: str) -> str:
-        place = self._at.get(name)
-        return "" if place is None else clean(text_of_cell(cells[place]))[:_LONGEST]
+        index = self._at.get(name)
+        return "" if index is None else clean(text_of_cell(cells[index]))[:_LONGEST]
 
 
 def _without_test(session: str, problem: str) -> TestRow:
@@ -334,8 +334,8 @@ def _without_test(session: str, problem: str) -> TestRow:
 
 
 def _searched(row: TestRow) -> TestRow:
-    words = (row.subject, row.site, row.condition, row.quality, row.engine, row.problem, row.session)
-    return replace(row, words=" ".join(words).casefold())
+    texts = (row.subject, row.site, row.condition, row.quality, row.engine, row.problem, row.session)
+    return replace(row, search_text=" ".join(texts).casefold())
 
 
 def _number(text: str) -> float:

@@ -81,7 +81,7 @@ class TestsModel(QAbstractTableModel):
     @property
     def without_test(self) -> list[int]:
         """Shown rows that are a session without a test: their first cell says why."""
-        return [place for place, number in enumerate(self.shown) if not self._rows[number].is_test]
+        return [row for row, number in enumerate(self.shown) if not self._rows[number].is_test]
 
     @property
     def rows(self) -> Sequence[TestRow]:
@@ -92,7 +92,7 @@ class TestsModel(QAbstractTableModel):
         """Show the tests of a study."""
         self.beginResetModel()
         self._rows, self._names = data.rows, data.parameters
-        self._places = {name: place for place, name in enumerate(data.parameters)}
+        self._places = {name: index for index, name in enumerate(data.parameters)}
         self._take_scales()
         self.parameters = tuple(name for name in self.parameters if name in self._places) or data.parameters
         self._find()
@@ -106,10 +106,10 @@ class TestsModel(QAbstractTableModel):
         self._find()
         self.endResetModel()
 
-    def filter(self, words: str = "", subject: str = "", site: str = "", condition: str = "") -> None:
+    def filter(self, search: str = "", subject: str = "", site: str = "", condition: str = "") -> None:
         """Show the rows that have every word, and these values; "" asks for nothing."""
         self.beginResetModel()
-        self._asked = (words, subject, site, condition)
+        self._asked = (search, subject, site, condition)
         self._find()
         self.endResetModel()
 
@@ -131,27 +131,27 @@ class TestsModel(QAbstractTableModel):
         self._scales = {name: shown_si(label_and_unit(name)[1])[1] for name in self._names}
 
     def _find(self) -> None:
-        words, subject, site, condition = self._asked
-        wanted = words.casefold().split()
-        found = [
-            place
-            for place, row in enumerate(self._rows)
+        search, subject, site, condition = self._asked
+        wanted = search.casefold().split()
+        matches = [
+            number
+            for number, row in enumerate(self._rows)
             if (not subject or row.subject == subject)
             and (not site or row.site == site)
             and (not condition or (row.condition or WITHOUT * row.is_test) == condition)
-            and all(word in row.words for word in wanted)
+            and all(word in row.search_text for word in wanted)
         ]
         column, order = self._sorted
         if 0 <= column < self.columnCount():
             key = self._key(column)
-            keys = {place: key(self._rows[place]) for place in found}
-            first = [place for place in found if not self._rows[place].is_test]
-            tests = [place for place in found if self._rows[place].is_test]
-            empty = [place for place in tests if keys[place] in ("", -math.inf)]
-            known = [place for place in tests if keys[place] not in ("", -math.inf)]
-            known.sort(key=lambda place: keys[place], reverse=order == Qt.SortOrder.DescendingOrder)
-            found = first + known + empty
-        self.shown = found
+            keys = {number: key(self._rows[number]) for number in matches}
+            first = [number for number in matches if not self._rows[number].is_test]
+            tests = [number for number in matches if self._rows[number].is_test]
+            empty = [number for number in tests if keys[number] in ("", -math.inf)]
+            filled = [number for number in tests if keys[number] not in ("", -math.inf)]
+            filled.sort(key=lambda number: keys[number], reverse=order == Qt.SortOrder.DescendingOrder)
+            matches = first + filled + empty
+        self.shown = matches
 
     def _key(self, column: int) -> Callable[[TestRow], Any]:
         """Return the function that gives what a column is sorted by: "" or -inf where a row has nothing."""
@@ -160,8 +160,8 @@ class TestsModel(QAbstractTableModel):
         if column == VAF:
             return lambda row: _sortable(row.vaf_percent)
         if len(_FIRST) <= column < len(_FIRST) + len(self.parameters):
-            place = self._places[self.parameters[column - len(_FIRST)]]
-            return lambda row: _sortable(row.values[place]) if row.values else -math.inf
+            index = self._places[self.parameters[column - len(_FIRST)]]
+            return lambda row: _sortable(row.values[index]) if row.values else -math.inf
         return lambda row: self._text(row, column).casefold()
 
     # -- what Qt asks -------------------------------------------------------------------------------------
@@ -232,12 +232,12 @@ class TestsModel(QAbstractTableModel):
         return texts[column]
 
     def _value(self, row: TestRow, name: str) -> str:
-        place = self._places[name]
-        if not row.values or math.isnan(row.values[place]):
+        index = self._places[name]
+        if not row.values or math.isnan(row.values[index]):
             return MISSING if row.is_test else ""
-        std = row.stds[place]
-        found = Estimate(row.values[place], None if math.isnan(std) else std)
-        return plus_minus(found, self._scales[name])
+        std = row.stds[index]
+        estimate = Estimate(row.values[index], None if math.isnan(std) else std)
+        return plus_minus(estimate, self._scales[name])
 
 
 def _sortable(value: float) -> float:
@@ -264,7 +264,7 @@ class TestsTab(QWidget):
         super().__init__(parent)
         self.model = TestsModel(self)
         self._data: StudyData | None = None
-        self.words = styled(
+        self.search = styled(
             QLineEdit(),
             placeholder_text=_("Search in all columns"),
             name=_("Search in all columns"),
@@ -281,12 +281,12 @@ class TestsTab(QWidget):
         self.count = styled(QLabel(), role="muted", word_wrap=True, minimum_width=1)
         self.table = QTableView()
         self._dress()
-        filters = build.holder(fill(FoldingBox(_FILTERS_IN_A_ROW), self.words, *self.choices, self.parameters))
+        filters = build.holder(fill(FoldingBox(_FILTERS_IN_A_ROW), self.search, *self.choices, self.parameters))
         build.column(filters, (self.table, 1), self.count, margins=(0, 8, 0, 0), parent=self)
-        self.words.textChanged.connect(self._filter)
+        self.search.textChanged.connect(self._filter)
         self.model.modelReset.connect(self._span)
         self.model.layoutChanged.connect(self._span)
-        build.shortcut(self, QKeySequence.StandardKey.Find, self.words.setFocus)
+        build.shortcut(self, QKeySequence.StandardKey.Find, self.search.setFocus)
 
     def show_study(self, data: StudyData) -> None:
         """Show the tests of a study; filters and columns stay as far as they fit."""
@@ -307,7 +307,7 @@ class TestsTab(QWidget):
     @property
     def fields(self) -> list[QWidget]:
         """Widgets in tab order."""
-        return [self.words, *self.choices, self.parameters, self.table]
+        return [self.search, *self.choices, self.parameters, self.table]
 
     def _dress(self) -> None:
         table = self.table
@@ -323,7 +323,7 @@ class TestsTab(QWidget):
 
     def _filter(self) -> None:
         subject, site, condition = (str(choice.currentData() or "") for choice in self.choices)
-        self.model.filter(self.words.text(), subject, site, condition)
+        self.model.filter(self.search.text(), subject, site, condition)
         data = self._data
         if data is None:
             return

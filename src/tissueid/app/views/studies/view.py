@@ -74,15 +74,15 @@ class FiguresTab(QWidget):
         """Widgets in tab order."""
         return [self.kind, self.parameter, self.save, self.compute]
 
-    def show_figures(self, found: StudyFigures | None, *, analysed: bool) -> None:
+    def show_figures(self, figures: StudyFigures | None, *, analysed: bool) -> None:
         """Offer the figures of a study; the chosen kind and parameter stay if they are there."""
-        self.figures = found or StudyFigures()
+        self.figures = figures or StudyFigures()
         _fill(self.kind, [heading for heading, _figures in self.figures.groups])
         shown, more = list(self.figures.remarks[:_MOST_REMARKS]), len(self.figures.remarks) - _MOST_REMARKS
         shown += [_("and {count} more: see the report").format(count=more)] * (more > 0)
         show_text(self.remarks, "\n".join(shown))
         self._choose_kind()
-        if found is None:
+        if figures is None:
             self.canvas.say_missing(
                 _("Press “Compute figures” to draw the figures of this table.")
                 if analysed
@@ -94,18 +94,18 @@ class FiguresTab(QWidget):
         self.compute.setEnabled(has_table and not busy)
 
     def _choose_kind(self) -> None:
-        place = self.kind.currentIndex()
-        figures = self.figures.groups[place][1] if place >= 0 else ()
+        index = self.kind.currentIndex()
+        figures = self.figures.groups[index][1] if index >= 0 else ()
         _fill(self.parameter, [label for label, _plot in figures])
         self.save.setEnabled(bool(figures))
         self._draw()
 
     def _draw(self) -> None:
-        place = self.kind.currentIndex()
-        if place < 0:
+        index = self.kind.currentIndex()
+        if index < 0:
             self.canvas.say_missing(_("The table has no parameter that can be drawn."))
         else:
-            self.canvas.show_plots([self.figures.groups[place][1][self.parameter.currentIndex()][1]])
+            self.canvas.show_plots([self.figures.groups[index][1][self.parameter.currentIndex()][1]])
 
 
 def _fill(box: QComboBox, texts: list[str]) -> None:
@@ -289,13 +289,13 @@ class StudiesView(View):
         else:
             self._done(result)
 
-    def _broke(self, words: str) -> None:
+    def _broke(self, message: str) -> None:
         self._over()
-        self._failed(words)
+        self._failed(message)
         self._changed = True  # a run without a usable session leaves the reason of each
 
-    def _failed(self, words: str) -> None:
-        self.context.say_failed(words)
+    def _failed(self, message: str) -> None:
+        self.context.say_failed(message)
 
     def _opened(self, data: StudyData) -> None:
         other = self.data is None or self.data.folder != data.folder
@@ -320,13 +320,13 @@ class StudiesView(View):
         )
         self.context.say(translated(said), problem=True)
 
-    def _reported(self, found: tuple[Path, StudyData]) -> None:
-        page, data = found
+    def _reported(self, report: tuple[Path, StudyData]) -> None:
+        page, data = report
         self._analysed(data)
         self.context.show_file(page)
 
-    def _computed(self, found: StudyFigures) -> None:
-        self.figures.show_figures(found, analysed=True)
+    def _computed(self, figures: StudyFigures) -> None:
+        self.figures.show_figures(figures, analysed=True)
         self.tabs.setCurrentWidget(self.figures)
 
     def _read_again(self) -> None:

@@ -128,9 +128,9 @@ class StaticsPanel(QWidget):
             self.over_dates.say_missing(_("No calibration of this instrument that passed holds a figure."))
             self.drift.setText("")
             return
-        found = trend(self._all, name)
-        self.over_dates.show_plots([trend_plot(found, datetime.now(UTC))])
-        self.drift.setText(translated(found.words))
+        figure_trend = trend(self._all, name)
+        self.over_dates.show_plots([trend_plot(figure_trend, datetime.now(UTC))])
+        self.drift.setText(translated(figure_trend.words))
 
     def take_units(self) -> None:
         """Show the figures in the units in force."""
@@ -156,7 +156,7 @@ class SweepsPanel(QWidget):
         super().__init__(parent)
         self._sweeps: tuple[Calibration, ...] = ()
         self.comparison: CalibrationComparison | None = None
-        self.words = build.label("headline")
+        self.headline = build.label("headline")
         self.remarks = build.label("muted")
         comparing = _("Compare the newest of the selected sweeps with")
         self.against = build.choice({}, self._compare, name=_("Compare the newest sweep with"), tip=comparing)
@@ -176,7 +176,7 @@ class SweepsPanel(QWidget):
         )
         pages = (self._make_plots(), _("Along the stroke")), (self.figures, _("Values"))
         self.tabs = build.tabs(_("Sweeps: along the stroke, or figures"), *pages)
-        top = build.row((self.words, 1), self.against)
+        top = build.row((self.headline, 1), self.against)
         top.setAlignment(self.against, Qt.AlignmentFlag.AlignTop)
         build.column(top, self.remarks, (self.tabs, 1), spacing=4, parent=self)
 
@@ -198,7 +198,9 @@ class SweepsPanel(QWidget):
         """Show these; the newest is the one that is compared."""
         self._sweeps = tuple(sorted(sweeps, key=lambda item: item.made, reverse=True)[:MOST])
         said = _("against {date}, {serial}")
-        texts = [said.format(date=one.date[:10], serial=clean(one.serial_number)[:30]) for one in self._sweeps[1:]]
+        texts = [
+            said.format(date=sweep.date[:10], serial=clean(sweep.serial_number)[:30]) for sweep in self._sweeps[1:]
+        ]
         build.offer(self.against, dict(enumerate(texts)), 0)
         self.against.setVisible(len(self._sweeps) > 2)
         for name, card in self.cards.items():
@@ -212,20 +214,20 @@ class SweepsPanel(QWidget):
         newest, *others = self._sweeps
         if not others:
             self.comparison = None
-            self.words.setText(
+            self.headline.setText(
                 _("Sweep of {date}: select another with Ctrl to compare the two.").format(date=newest.date[:10])
             )
-            show_level(self.words, "")
+            show_level(self.headline, "")
             self.remarks.setText(_region_words(newest))
             self.model.show_rows(list(newest.quantities.items()))
             return
-        found = compare_sweeps(others[max(0, self.against.currentIndex())], newest)
-        self.comparison = found
-        self.words.setText(translated(found.words))
-        drift = next((item for item in found.differences if item.name == "force_constant_n_per_a"), None)
-        show_level(self.words, "check" if drift is not None and drift.verdict == "beyond" else "")
-        self.remarks.setText(" ".join([_profile_words(found), *map(translated, found.remarks)]).strip())
-        self.model.show_rows(found.differences)
+        comparison = compare_sweeps(others[max(0, self.against.currentIndex())], newest)
+        self.comparison = comparison
+        self.headline.setText(translated(comparison.words))
+        drift = next((item for item in comparison.differences if item.name == "force_constant_n_per_a"), None)
+        show_level(self.headline, "check" if drift is not None and drift.verdict == "beyond" else "")
+        self.remarks.setText(" ".join([_profile_words(comparison), *map(translated, comparison.remarks)]).strip())
+        self.model.show_rows(comparison.differences)
 
     def _show_key(self) -> None:
         """Which colour is which sweep; the names are of people and are no markup."""
@@ -254,15 +256,15 @@ def _region_words(sweep: Calibration) -> str:
     )
 
 
-def _profile_words(found: CalibrationComparison) -> str:
-    if found.common_m is None:
+def _profile_words(comparison: CalibrationComparison) -> str:
+    if comparison.common_m is None:
         return _("Their linear regions do not overlap.")
-    low, high = (figure_text("position", end) for end in found.common_m)
+    low, high = (figure_text("position", end) for end in comparison.common_m)
     unit = unit_of("position").symbol
-    if not np.isfinite(found.profile):
+    if not np.isfinite(comparison.profile):
         return _("Both are linear from {low} to {high} {unit}.").format(low=low, high=high, unit=unit)
-    mean, largest = (f"{fixed(100.0 * share, 1)} %" for share in (found.profile, found.largest))
-    where = figure_text("position", found.largest_at_m)
+    mean, largest = (f"{fixed(100.0 * share, 1)} %" for share in (comparison.profile, comparison.largest))
+    where = figure_text("position", comparison.largest_at_m)
     return _(
         "Over {low} to {high} {unit}, where both are linear: mean {mean}, largest {largest}, at {where} {unit}."
     ).format(low=low, high=high, unit=unit, mean=mean, largest=largest, where=where)
@@ -281,12 +283,14 @@ def _cell(row: CalibrationDifference | tuple[str, CalibratedQuantity], column: i
 
 def _sizes(row: CalibrationDifference, scale: float) -> tuple[str, str]:
     """A difference and what it is not known better than, as shares where the figure has a scale."""
-    known = None if row.uncertainty is None else SIGNIFICANT_STD * row.uncertainty
+    uncertainty = None if row.uncertainty is None else SIGNIFICANT_STD * row.uncertainty
     if np.isfinite(row.relative):
-        share = None if known is None else 100.0 * known / abs(row.before.value)
+        share = None if uncertainty is None else 100.0 * uncertainty / abs(row.before.value)
         return f"{fixed(100.0 * row.relative, 1)} %", MISSING if share is None else f"{fixed(share, 1)} %"
     decimals = 2 if scale == display_unit(row.before.unit)[1] else 5
-    return fixed(scale * row.absolute, decimals), MISSING if known is None else fixed(scale * known, decimals)
+    return fixed(scale * row.absolute, decimals), MISSING if uncertainty is None else fixed(
+        scale * uncertainty, decimals
+    )
 
 
 HEADERS = (marked("Date"), marked("Kind"), marked("Verdict"), marked("Age"), marked("Active"), marked("File"))
@@ -317,8 +321,8 @@ def rows_of(stored: Sequence[Stored], nominal: DeviceDescription | None, now: da
     """Rows in the order of ``stored``. ``nominal`` is what was asked; without it each is judged by its age alone."""
     if nominal is None:
         return tuple(_row(item, None, frozenset(), frozenset(), now) for item in stored)
-    known = apply_calibrations(nominal, stored, now).calibration
-    named = frozenset(str(known[name]) for name in ("static_file", "sweep_file") if name in known)
+    active = apply_calibrations(nominal, stored, now).calibration
+    named = frozenset(str(active[name]) for name in ("static_file", "sweep_file") if name in active)
     sources = frozenset(_sources(stored, nominal, now))
     return tuple(_row(item, nominal, named, sources, now) for item in stored)
 
@@ -341,8 +345,8 @@ def _row(
     age = _("in the future") if days < -1.0 else _("today") if days < 1.0 else _("{days:.0f} days").format(days=days)
     date = local_minute(calibration.date) or calibration.date[:10]
     if nominal is None:
-        found = file_status(item, now)
-        force, level = _said(translated(found.words)), "" if found.state == "valid" else "check"
+        status = file_status(item, now)
+        force, level = _said(translated(status.words)), "" if status.state == "valid" else "check"
     else:
         state, why = status_for_device(item, nominal, now)
         reason = translated(why)
@@ -377,8 +381,8 @@ def _sources(stored: Sequence[Stored], nominal: DeviceDescription, now: datetime
     for _stale, item, calibration in statics:
         for name in calibration.quantities:
             source.setdefault(name, item.path)
-    known = apply_calibrations(nominal, stored, now).calibration
-    return {path for name, path in source.items() if name in known}
+    active = apply_calibrations(nominal, stored, now).calibration
+    return {path for name, path in source.items() if name in active}
 
 
 def _said(text: str) -> str:
@@ -425,8 +429,8 @@ class CalibrationsTab(Tab):
         self.sweeps = SweepsPanel()
         self.statics = StaticsPanel()
         self.detail = build.stack(self.hint, self.sweeps, self.statics)
-        left = build.holder(build.column((self.list, 1), self.why, margins=(0, 0, 6, 0)))
-        self.split = build.splitter((left, 2), (self.detail, 3), sizes=(450, 600))
+        listing = build.holder(build.column((self.list, 1), self.why, margins=(0, 0, 6, 0)))
+        self.split = build.splitter((listing, 2), (self.detail, 3), sizes=(450, 600))
         if (state := context.settings.value(_SPLIT)) is not None:
             self.split.restoreState(state)
         build.column(

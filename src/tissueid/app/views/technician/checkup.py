@@ -95,13 +95,13 @@ def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
     if check:
         return Light("check", _("Usable, with remarks"), tuple(check))
     temperature = _("the coil is at {temperature} °C").format(temperature=fixed(checkup.temperature_c, 0))
-    words = (
+    reasons = (
         _(
             "The instrument answers; {temperature}; no data was lost; its calibration is active. Only"
             " a test or a calibration shows whether the coil pushes correctly."
         ).format(temperature=temperature),
     )
-    return Light("good", _("No problem found"), words)
+    return Light("good", _("No problem found"), reasons)
 
 
 def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:

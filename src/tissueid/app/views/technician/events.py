@@ -74,13 +74,13 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
             _("Only the newest {count} lines are shown; the file holds all of them.").format(count=grouped(len(kept)))
         )
     if damaged:
-        one = Message("audit.table.piece", "1 incomplete line is not shown: press Verify for details.")
+        single = Message("audit.table.piece", "1 incomplete line is not shown: press Verify for details.")
         several = Message(
             "audit.table.pieces",
             "{count} incomplete lines are not shown: press Verify for details.",
             count=grouped(damaged),
         )
-        remarks.append(translated(one if damaged == 1 else several))
+        remarks.append(translated(single if damaged == 1 else several))
     return LogPage(tuple(reversed(kept)), tuple(remarks))
 
 
@@ -98,13 +98,13 @@ def about(line: LogLine, names: Mapping[str, str]) -> str:
     """Return what a line is about: test, site and pseudonym where they are known, else its subject."""
     subject = shown(line.subject)
     if not subject and isinstance(line.new, dict):  # a test whose recording had not begun
-        known = [line.new.get("site"), line.new.get("pseudonym")]
+        parts = [line.new.get("site"), line.new.get("pseudonym")]
     else:
         session, is_test, number = subject.partition(" test ")
-        known = [names.get(subject) if is_test else None, names.get(session)]
-        if is_test and any(known):
-            known.insert(0, _("Test {number}").format(number=number))
-    return clean(", ".join(str(item) for item in known if item))[:_LONGEST_VALUE] or subject
+        parts = [names.get(subject) if is_test else None, names.get(session)]
+        if is_test and any(parts):
+            parts.insert(0, _("Test {number}").format(number=number))
+    return clean(", ".join(str(item) for item in parts if item))[:_LONGEST_VALUE] or subject
 
 
 def shown(value: Any) -> str:
@@ -237,14 +237,14 @@ class Event:
 class Events:
     """Events, newest first. ``remarks`` say what could not be read."""
 
-    found: tuple[Event, ...]
+    entries: tuple[Event, ...]
     remarks: tuple[str, ...] = ()
 
     @property
     def newest_fault(self) -> Event | None:
         """The end of the newest test if it was a fault, else None."""
         ends = (FAULT, BROKEN, STOPPED, COMPLETED)
-        newest = next((event for event in self.found if event.kind in ends), None)
+        newest = next((event for event in self.entries if event.kind in ends), None)
         return newest if newest is not None and newest.kind == FAULT else None
 
 
@@ -280,8 +280,8 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], object]
                 most=MOST_FILES, count=len(files)
             )
         )
-    found = sorted(by_subject.values(), key=lambda event: event.time, reverse=True)
-    return Events(tuple(found), tuple(remarks))
+    events = sorted(by_subject.values(), key=lambda event: event.time, reverse=True)
+    return Events(tuple(events), tuple(remarks))
 
 
 def _of_failed_calibrations(lines: Sequence[LogLine]) -> set[int]:
@@ -362,9 +362,9 @@ def advice(kind: str, reason: str, codes: Collection[str]) -> str:
         return _(_BY_KIND[kind])
     if kind == COMPLETED:
         return ""
-    for code, words in _ADVICE.items():
+    for code, message in _ADVICE.items():
         if code in codes:
-            return sentence(translated(words))
+            return sentence(translated(message))
     _cause, colon, remedy = reason.rpartition(": ")
     usual = _("Measure again; if it happens again, check the instrument.")
     return sentence(clean(remedy)[:_LONGEST]) if colon else usual
@@ -379,10 +379,10 @@ def moment(time: object) -> str:
     """Return a time in UTC to the second; a text that is no time is returned unchanged."""
     text = _short(time)
     try:
-        known = datetime.fromisoformat(text)
+        parsed = datetime.fromisoformat(text)
     except ValueError:
         return text[:30]
-    aware = known if known.tzinfo else known.replace(tzinfo=UTC)
+    aware = parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)
     try:
         return aware.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S")
     except (ValueError, OverflowError):

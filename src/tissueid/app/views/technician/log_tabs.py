@@ -177,10 +177,10 @@ class AuditTab(SearchedTab):
         exporting = _("Writes the lines that are shown, for a spreadsheet")
         self.export = button(_("Export CSV…"), self._choose_csv, tip=exporting)
         self.verdict = styled(QFrame(), role="verdict")
-        self.words = build.label(
+        self.verdict_text = build.label(
             text=_("Not verified yet: press Verify to see whether every line is as it was written.")
         )
-        row(self.words, margins=(12, 6, 10, 6), parent=self.verdict)
+        row(self.verdict_text, margins=(12, 6, 10, 6), parent=self.verdict)
         self.full = label(text_interaction_flags=Qt.TextInteractionFlag.TextSelectableByMouse)
         build.column(
             row(self.role, self.act, (self.search, 1), self.again, self.verify, self.export, spacing=8),
@@ -203,9 +203,9 @@ class AuditTab(SearchedTab):
         """Read the log."""
         self.read_files(_("Reading the audit log…"), functools.partial(read, self.context.services.audit.path))
 
-    def _loaded(self, found: Read) -> None:
-        self._read, self.read = found, True
-        build.offer(self.act, {"": _(_ALL_ACTS)} | {act: clean(act)[:60] for act in found.acts})
+    def _loaded(self, content: Read) -> None:
+        self._read, self.read = content, True
+        build.offer(self.act, {"": _(_ALL_ACTS)} | {act: clean(act)[:60] for act in content.acts})
         self._show()
 
     def begin_verifying(self) -> None:
@@ -214,37 +214,39 @@ class AuditTab(SearchedTab):
         if self.page_job.start(_("Verifying the audit log…"), work, self._verified, self.complain):
             self._tell("", _("Verifying…"))
 
-    def complain(self, words: str) -> None:
+    def complain(self, message: str) -> None:
         """Show the error and empty the table."""
-        if self.words.text() == _("Verifying…"):
+        if self.verdict_text.text() == _("Verifying…"):
             self._tell("", _("Not verified."))
-        super().complain(words)
+        super().complain(message)
 
-    def _verified(self, found: Verification) -> None:
-        remarks = " ".join(sentence(translated(line)) for line in found.remarks[:3])
-        if found.broken is not None:
+    def _verified(self, verification: Verification) -> None:
+        remarks = " ".join(sentence(translated(line)) for line in verification.remarks[:3])
+        if verification.broken is not None:
             broken = Message(
                 "audit.table.broken",
                 "The log is not as it was written. Line {place} of the file: {words} ({damage}).",
-                place=grouped(found.broken.place),
-                words=found.broken.words,
-                damage=found.broken.damage.value,
+                place=grouped(verification.broken.place),
+                words=verification.broken.words,
+                damage=verification.broken.damage.value,
             )
             self._tell("poor", f"{translated(broken)} {remarks}".strip())
-        elif not found.lines:
+        elif not verification.lines:
             self._tell(
                 "check", f"{_('The log contains no complete line: nothing has been logged yet.')} {remarks}".strip()
             )
         else:
-            words = _("Intact: {lines} lines, all unchanged. Head {head}…").format(
-                lines=grouped(found.lines), head=found.head[:22]
+            summary = _("Intact: {lines} lines, all unchanged. Head {head}…").format(
+                lines=grouped(verification.lines), head=verification.head[:22]
             )
-            self._tell("check" if found.remarks else "good", " ".join(filter(None, [words, remarks, _(_BLIND)])))
+            self._tell(
+                "check" if verification.remarks else "good", " ".join(filter(None, [summary, remarks, _(_BLIND)]))
+            )
 
-    def _tell(self, level: str, words: str) -> None:
+    def _tell(self, level: str, text: str) -> None:
         show_level(self.verdict, level)
-        self.words.setText(clean(words))
-        self.verdict.setAccessibleName(clean(words))
+        self.verdict_text.setText(clean(text))
+        self.verdict.setAccessibleName(clean(text))
 
     def _choose_csv(self) -> None:
         if self.context.busy:
@@ -275,20 +277,20 @@ class AuditTab(SearchedTab):
 
     def _show(self) -> None:
         role, act = self.role.currentData(), self.act.currentData()
-        words = self.search.text().casefold().split()
+        terms = self.search.text().casefold().split()
         lines = self._read.page.lines
-        found = [
+        matches = [
             line
             for line, text in zip(lines, self._read.texts, strict=True)
-            if role in ("", line.role) and act in ("", line.what) and all(word in text for word in words)
+            if role in ("", line.role) and act in ("", line.what) and all(word in text for word in terms)
         ]
-        self.model.show_rows(found)
+        self.model.show_rows(matches)
         said = _("{shown} of {count} lines, newest first, in {path}.").format(
-            shown=grouped(len(found)), count=grouped(len(lines)), path=self.context.services.audit.path
+            shown=grouped(len(matches)), count=grouped(len(lines)), path=self.context.services.audit.path
         )
         remarks = (clean(line) for line in self._read.page.remarks)
         self.count.setText(" ".join([clean(said), *remarks]) if self.read else self.context.unread)
-        self.export.setEnabled(bool(found) and not self.context.busy)
+        self.export.setEnabled(bool(matches) and not self.context.busy)
         self._show_selected()
 
     def _show_selected(self) -> None:
@@ -379,15 +381,15 @@ class FaultsTab(SearchedTab):
 
     def _show(self) -> None:
         wanted = str(self.kind.currentData())
-        words = self.search.text().casefold().split()
+        terms = self.search.text().casefold().split()
         chosen = {_CONCERNS: tuple(LEVELS), _ALL: KINDS}.get(wanted, (wanted,))
-        found = [
-            event for event in self.events.found if event.kind in chosen and all(word in event.text for word in words)
+        matches = [
+            event for event in self.events.entries if event.kind in chosen and all(word in event.text for word in terms)
         ]
-        self.model.show_rows(found)
-        total = sum(event.kind != COMPLETED for event in self.events.found)
+        self.model.show_rows(matches)
+        total = sum(event.kind != COMPLETED for event in self.events.entries)
         said = _("{shown} shown; {concerns} of {count} events are something other than a completed test.").format(
-            shown=grouped(len(found)), concerns=grouped(total), count=grouped(len(self.events.found))
+            shown=grouped(len(matches)), concerns=grouped(total), count=grouped(len(self.events.entries))
         )
         lines = [said, *(clean(line) for line in self.events.remarks)] if self.read else [self.context.unread]
         self.count.setText(" ".join(lines))

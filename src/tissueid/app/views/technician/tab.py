@@ -134,18 +134,18 @@ class Tab(QWidget):
     def save_state(self) -> None:
         """Save the state of the tab to the settings."""
 
-    def read_files(self, words: str, work: Callable[[Callable[[], object]], object]) -> None:
+    def read_files(self, activity: str, work: Callable[[Callable[[], object]], object]) -> None:
         """Start reading, for :meth:`_loaded`; an error is shown as a notice."""
-        if self.page_job.start(words, work, self._loaded, self.complain):
+        if self.page_job.start(activity, work, self._loaded, self.complain):
             self.stale = False
 
-    def _loaded(self, found: Any) -> None:
+    def _loaded(self, content: Any) -> None:
         """Show what was read."""
 
-    def complain(self, words: str) -> None:
+    def complain(self, message: str) -> None:
         """Show an error; a cancelled job has an empty one."""
-        if words:
-            self.context.say(words, problem=True)
+        if message:
+            self.context.say(message, problem=True)
 
 
 def unmarked(text: str) -> str:

@@ -145,11 +145,11 @@ class HealthTab(Tab):
         work = functools.partial(background, services.folder, services.calibrations, services.audit.path)
         self.read_files(_("Reading calibrations and the newest test…"), work)
 
-    def _loaded(self, known: Background) -> None:
-        self._known, self.read = known, True
+    def _loaded(self, background: Background) -> None:
+        self._known, self.read = background, True
         answer = self._answer
-        if answer is not None and not known.problem:  # its calibration may be another one now
-            device = apply_calibrations(answer.nominal, known.stored, datetime.now(UTC))
+        if answer is not None and not background.problem:  # its calibration may be another one now
+            device = apply_calibrations(answer.nominal, background.stored, datetime.now(UTC))
             self._answer = replace(answer, device=device)
         self.show_chosen()
 
@@ -169,9 +169,9 @@ class HealthTab(Tab):
         self._answer, self._problem = checkup, ""
         self.show_chosen()
 
-    def _unanswered(self, words: str) -> None:
-        if words:
-            self._answer, self._problem, self._failed_url = None, words, self.context.instrument()
+    def _unanswered(self, message: str) -> None:
+        if message:
+            self._answer, self._problem, self._failed_url = None, message, self.context.instrument()
             self.show_chosen()
 
     @property
@@ -194,12 +194,12 @@ class HealthTab(Tab):
 
     def _name_chosen(self) -> None:
         url = clean(self.context.instrument())[:120]
-        words = (
+        text = (
             _("Chosen on the page Measure: {url}").format(url=url)
             if url
             else _("No instrument is chosen on the page Measure.")
         )
-        self.chosen.setText(words)
+        self.chosen.setText(text)
 
     @property
     def light(self) -> Light:
@@ -208,17 +208,17 @@ class HealthTab(Tab):
         return light(self.checkup, problem, self._known.fault)
 
     def _show(self) -> None:
-        found = self.light
-        self.lamps.show_level(found.level)
-        self.headline.setText(_(found.headline))
-        reasons = [_(reason) for reason in found.reasons]
+        light = self.light
+        self.lamps.show_level(light.level)
+        self.headline.setText(_(light.headline))
+        reasons = [_(reason) for reason in light.reasons]
         more = len(reasons) - _MOST_REASONS
         lines = [*reasons[:_MOST_REASONS], *([_("… and {count} more.").format(count=more)] if more > 0 else [])]
         self.reasons.setText("\n".join(clean(line) for line in lines))
         self.reasons.setToolTip(plain_tip("\n".join(clean(line) for line in reasons[:40])))
-        self.verdict.setAccessibleName(" ".join([_(found.headline), *reasons]))
+        self.verdict.setAccessibleName(" ".join([_(light.headline), *reasons]))
         for widget in (self.verdict, self.headline):
-            show_level(widget, found.level)
+            show_level(widget, light.level)
         self._name_chosen()
         self.identity.show_facts(_identity(self.checkup))
         self.state.show_facts(_calibration(self.checkup, self._known))
@@ -282,12 +282,12 @@ def _identity(checkup: Checkup | None) -> dict[str, str]:
     }
 
 
-def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
+def _calibration(checkup: Checkup | None, background: Background) -> dict[str, str]:
     facts: dict[str, str] = {}
-    if known.problem:
-        facts[_("Folder")] = known.problem
+    if background.problem:
+        facts[_("Folder")] = background.problem
     else:
-        facts[_("Calibrations in the folder")] = grouped(len(known.stored))
+        facts[_("Calibrations in the folder")] = grouped(len(background.stored))
     if checkup is None:
         return {_("State"): _("not checked")} | facts
     device = checkup.device
