@@ -74,7 +74,7 @@ def test_page_has_recommendation_table_and_every_engine(report: ComparisonReport
     assert len(source.encode()) < 6_000_000
     page = checked(source)
     text = " ".join(page.text.split())
-    found = report.found.recommendation
+    found = report.comparison.recommendation
     assert " ".join(found.headline.split()) in text
     assert text.index(found.headline) < text.index("VAF, fitted (%)")
     for name in ("LMS", "ALS", "Depth"):
@@ -140,7 +140,7 @@ def test_scores_hold_the_line_of_repeats(report: ComparisonReport) -> None:
     _, labels = scores.figure.axes[0].get_legend_handles_labels()
     assert message_of("compare.ceiling") in labels
     assert "held out, scheduled" in labels
-    without, _ = score_plots(replace(report.found, ceiling=None))
+    without, _ = score_plots(replace(report.comparison, ceiling=None))
     assert message_of("compare.ceiling") not in [curve.name for curve in without.curves]
 
 
@@ -158,7 +158,7 @@ def test_the_page_of_a_comparison_says_nothing_in_english(session: Session, repo
     test = session.test(1)
     device = session.instrument
     data = (test.site, session.subject.pseudonym, device.model, device.serial_number, session.software)
-    texts = in_german(lambda: shown(comparison_report(session, report.found).html()))
+    texts = in_german(lambda: shown(comparison_report(session, report.comparison).html()))
     assert english_in(texts, data) == []
 
 

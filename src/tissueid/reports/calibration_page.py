@@ -149,9 +149,9 @@ def calibration_facts(calibration: Calibration) -> tuple[tuple[str, str], ...]:
     )
 
 
-def quantity_row(name: str, found: CalibratedQuantity) -> tuple[str, str, str]:
+def quantity_row(name: str, quantity: CalibratedQuantity) -> tuple[str, str, str]:
     """Return label, value with its deviation, and unit of a quantity of a calibration."""
-    label, value, unit = readable(name, found)
+    label, value, unit = readable(name, quantity)
     return translated(label), value, _(unit)
 
 
@@ -189,9 +189,9 @@ def _repeats_table(columns: dict[str, tuple[float, ...]]) -> Table:
 
 def _panels(calibration: Calibration) -> list[Panel]:
     panels = []
-    for found in residuals(calibration):
-        heading, alt, caption = map(_, _LINES[found.table])
-        panels.append(Panel(found.table, heading, alt, caption, partial(_draw_line, found=found), height=2.9))
+    for line in residuals(calibration):
+        heading, alt, caption = map(_, _LINES[line.table])
+        panels.append(Panel(line.table, heading, alt, caption, partial(_draw_line, line=line), height=2.9))
     if "repeats" in calibration.tables:
         columns = {name: np.array(values) for name, values in calibration.tables["repeats"].items()}
 
@@ -239,9 +239,9 @@ _LINES = {
 """Heading, text for screen readers and caption of the line of each table."""
 
 
-def _draw_line(figure: FigureBase, found: Residuals) -> None:
+def _draw_line(figure: FigureBase, line: Residuals) -> None:
     """Draw a line with its readings, and their residuals on the right."""
-    draw_row(figure, line_plots(found))
+    draw_row(figure, line_plots(line))
 
 
 _NEEDED = {
@@ -345,7 +345,7 @@ def _tables(calibration: Calibration, tables: Mapping[str, Columns], region: Reg
             "Thesis: Chen 2010, Table 2.1."
         ),
     )
-    rows = tuple(quantity_row(name, found) for name, found in calibration.quantities.items())
+    rows = tuple(quantity_row(name, quantity) for name, quantity in calibration.quantities.items())
     yield Table(_("Results"), (_("Quantity"), _("Value"), _("Unit")), rows)
     yield _by_position(tables)
     if "repeats" in tables:

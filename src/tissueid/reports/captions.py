@@ -28,9 +28,9 @@ def joined(*parts: str) -> str:
     return " ".join(part for part in parts if part)
 
 
-def findings(found: Sequence[str]) -> str:
+def findings(texts: Sequence[str]) -> str:
     """Return the findings of an engine as sentences in the active language."""
-    said = [translated(text) for text in found]
+    said = [translated(text) for text in texts]
     return joined(*(f"{text[:1].upper()}{text[1:].rstrip('.')}." for text in said))
 
 

@@ -49,17 +49,17 @@ OWN_SAMPLES = Message(
 )
 
 
-def compared_scores(found: EngineComparison) -> Table:
+def compared_scores(comparison: EngineComparison) -> Table:
     """Return scores, parameters and seconds of every engine (Chen 2010, Table 8.1); notes are given by number."""
-    scheduled = any(a.model.report.vaf_scheduled_percent is not None for a in found.analyses.values())
-    ceiling = found.ceiling
+    scheduled = any(a.model.report.vaf_scheduled_percent is not None for a in comparison.analyses.values())
+    ceiling = comparison.ceiling
     head = [_("Engine"), _("VAF, fitted (%)"), _("VAF, held out (%)")]
     head += [_("VAF, held out, scheduled (%)")] if scheduled else []
     head += [_("Of the limit set by repeats (%)")] if ceiling is not None else []
     head += ["AICc", _("Parameters"), _("Seconds"), _("Interpretable"), _("Notes")]
-    numbers = {note: str(place) for place, note in enumerate(notes_of(found), start=1)}
+    numbers = {note: str(number) for number, note in enumerate(notes_of(comparison), start=1)}
     rows = []
-    for entry in found.entries:
+    for entry in comparison.entries:
         marks = ", ".join(numbers[note] for note in _notes(entry))
         label = engine_label(entry.engine)
         if entry.scored is None:
@@ -79,13 +79,13 @@ def compared_scores(found: EngineComparison) -> Table:
         _(
             "Held out: {part}. VAF is the variance accounted for by a free run, which uses the input alone. The lowest "
             "AICc is the best among engines scored on the same samples."
-        ).format(part=translated(found.split.validated_on)),
+        ).format(part=translated(comparison.split.validated_on)),
     )
 
 
-def notes_of(found: EngineComparison) -> tuple[str, ...]:
+def notes_of(comparison: EngineComparison) -> tuple[str, ...]:
     """Return the notes on engines below their table, each once; the first is number 1."""
-    return tuple(dict.fromkeys(note for entry in found.entries for note in _notes(entry)))
+    return tuple(dict.fromkeys(note for entry in comparison.entries for note in _notes(entry)))
 
 
 def _notes(entry: ComparisonEntry) -> Iterator[str]:
@@ -118,28 +118,28 @@ class ComparisonReport:
     """A comparison with all of its figures drawn."""
 
     session: Session
-    found: EngineComparison
+    comparison: EngineComparison
     sections: tuple[Section, ...]
 
     def html(self, title: str | None = None) -> str:
         """Return the page: recommendation, table, figures of each engine, and settings."""
-        found, test = self.found, self.session.test(self.found.split.tests[0])
+        comparison, test = self.comparison, self.session.test(self.comparison.split.tests[0])
         return template("compare.html.j2").render(
             title=title or _("Engines compared on test {number}").format(number=test.number),
             research_line=_(RESEARCH_LINE),
             simulated_line=_(SIMULATED_LINE),
             session=self.session,
             date=readable_date(self.session.created),
-            tests=", ".join(map(str, found.split.tests)),
+            tests=", ".join(map(str, comparison.split.tests)),
             test=test,
-            recommendation=found.recommendation,
+            recommendation=comparison.recommendation,
             quality=quality_of(test),
-            ceiling=_ceiling(found),
-            scores=compared_scores(found),
-            notes=tuple(translated(note) for note in notes_of(found)),
+            ceiling=_ceiling(comparison),
+            scores=compared_scores(comparison),
+            notes=tuple(translated(note) for note in notes_of(comparison)),
             sections=[(s, FigureGroup(s.key, s.heading, tuple(p.block for p in s.pictures))) for s in self.sections],
-            parameters=parameter_table(found.analyses),
-            settings=settings_tables(self.session, test, found.analyses),
+            parameters=parameter_table(comparison.analyses),
+            settings=settings_tables(self.session, test, comparison.analyses),
         )
 
     def write(self, path: Path) -> None:
@@ -160,61 +160,61 @@ class ComparisonReport:
 
 
 def comparison_report(
-    session: Session, found: EngineComparison, progress: Progress = lambda _what, _share: None
+    session: Session, comparison: EngineComparison, progress: Progress = lambda _what, _share: None
 ) -> ComparisonReport:
     """Draw all figures of a comparison; ``progress`` gets "figures" and the share that is done."""
-    test = session.test(found.split.tests[0])
-    material = Material(session, test, found.analyses, ())
-    sections = [_overview(found, surface_of(test)), _recorded(material, found)]
+    test = session.test(comparison.split.tests[0])
+    material = Material(session, test, comparison.analyses, ())
+    sections = [_overview(comparison, surface_of(test)), _recorded(material, comparison)]
     for number, subject in enumerate(material.subjects):
         progress("figures", number / max(1, len(material.subjects)))
         sections.append(_of_engine(subject))
     progress("figures", 1.0)
     worded = [replace(section, pictures=captions_for_configuration(test, section.pictures)) for section in sections]
-    return ComparisonReport(session, found, tuple(worded))
+    return ComparisonReport(session, comparison, tuple(worded))
 
 
-def _overview(found: EngineComparison, surface_position_m: float) -> Section:
-    profiles = {engine_label(name): analysis.depth_profile() for name, analysis in found.analyses.items()}
-    known = {name: profile for name, profile in profiles.items() if profile is not None}
-    scores = score_plots(found)
+def _overview(comparison: EngineComparison, surface_position_m: float) -> Section:
+    profiles = {engine_label(name): analysis.depth_profile() for name, analysis in comparison.analyses.items()}
+    estimated = {name: profile for name, profile in profiles.items() if profile is not None}
+    scores = score_plots(comparison)
     height = 1.4 + 0.3 * len(scores[0].y.ticks)
     pictures = (
         picture(
             "scores",
             _("Scores"),
             _("Dots for each engine: variance accounted for on fitted and on held-out samples. Right: bars of AICc."),
-            lambda: (row_figure(scores, height, widths=(2.2, 1.0), over=True), _scores_caption(found)),
+            lambda: (row_figure(scores, height, widths=(2.2, 1.0), over=True), _scores_caption(comparison)),
         ),
         picture(
             "memory",
             _("Scores against memory"),
             _("Lines for each engine against memory: variance accounted for, fitted and held out, and AICc."),
-            lambda: (row_figure(memory_plots(found.memory_sweep), 3.9, over=True), _(_SWEEP)),
+            lambda: (row_figure(memory_plots(comparison.memory_sweep), 3.9, over=True), _(_SWEEP)),
         ),
         picture(
             "depth",
             _("Mass, damping and stiffness against depth"),
             _("Three panels against depth: mass, damping and stiffness of every engine with a depth profile."),
             lambda: (
-                depth_panels(known, surface_position_m, found.split.record.output[found.split.fit_part]),
+                depth_panels(estimated, surface_position_m, comparison.split.record.output[comparison.split.fit_part]),
                 _(_DEPTH),
             ),
         )
-        if known
+        if estimated
         else absent("depth", _("Mass, damping and stiffness against depth"), NO_DEPTH_ENGINE),
         picture(
             "impulse-responses",
             _("Impulse responses side by side"),
             _("Left: impulse responses of the linear engines against lag. Right: measured against predicted output."),
-            lambda: (row_figure(response_plots(found), 3.9, widths=(1.5, 1.0)), _(_IMPULSES)),
+            lambda: (row_figure(response_plots(comparison), 3.9, widths=(1.5, 1.0)), _(_IMPULSES)),
         ),
     )
     return Section("overview", _("Side by side"), (), (), pictures)
 
 
-def _recorded(material: Material, found: EngineComparison) -> Section:
-    test, record = material.test, found.split.record
+def _recorded(material: Material, comparison: EngineComparison) -> Section:
+    test, record = material.test, comparison.split.record
     pictures = (
         signals_picture(test, material.held_out_s, "recorded"),
         power_picture(test, material.spectra, "recorded"),
@@ -251,40 +251,40 @@ def _distortion(material: Material) -> Picture:
 
 def _of_engine(subject: FigureSubject[Model]) -> Section:
     """Return the figures of an engine, group by group."""
-    declared = sorted(figures_of(subject), key=lambda one: (_ORDER.index(one.group), one.place))
+    declared = sorted(figures_of(subject), key=lambda figure: (_ORDER.index(figure.group), figure.order))
     report = subject.model.report
     return Section(
         key=f"engine-{subject.name}",
         heading=subject.label,
         findings=tuple(translated(text) for text in report.findings),
         warnings=tuple(translated(text) for text in report.warnings),
-        pictures=tuple(one.picture(subject) for one in declared),
+        pictures=tuple(figure.picture(subject) for figure in declared),
     )
 
 
-def _ceiling(found: EngineComparison) -> str:
-    if found.ceiling is None:
+def _ceiling(comparison: EngineComparison) -> str:
+    if comparison.ceiling is None:
         return ""
-    best, std = found.ceiling.vaf_percent.value, found.ceiling.vaf_percent.std
+    best, std = comparison.ceiling.vaf_percent.value, comparison.ceiling.vaf_percent.std
     limit = fixed(best, 2) if std is None else f"{fixed(best, 2)} ± {fixed(std, 2)}"
     text = _("No model can exceed {limit} % on held-out samples: this is the agreement of {count} repeats.").format(
-        limit=limit, count=found.ceiling.repeats
+        limit=limit, count=comparison.ceiling.repeats
     )
-    return captions.joined(text, captions.findings(found.ceiling.left_out))
+    return captions.joined(text, captions.findings(comparison.ceiling.left_out))
 
 
-def _scores_caption(found: EngineComparison) -> str:
+def _scores_caption(comparison: EngineComparison) -> str:
     parts = [
         _(
             "Sorted by score on held-out samples. A dot far left of its circle indicates overfitting. Held out: {part}."
-        ).format(part=translated(found.split.validated_on))
+        ).format(part=translated(comparison.split.validated_on))
     ]
-    if any(a.model.report.vaf_scheduled_percent is not None for a in found.analyses.values()):
+    if any(a.model.report.vaf_scheduled_percent is not None for a in comparison.analyses.values()):
         parts.append(
             _("Diamonds: scheduled by measured depth; these scores cannot be compared with those of simulations.")
         )
-    parts.append(_ceiling(found) or _("Without repeats in the session the highest possible score is not known."))
-    refused = [engine_label(entry.engine) for entry in found.entries if entry.refused is not None]
+    parts.append(_ceiling(comparison) or _("Without repeats in the session the highest possible score is not known."))
+    refused = [engine_label(entry.engine) for entry in comparison.entries if entry.refused is not None]
     if refused:
         parts.append(_("Refused: {engines}.").format(engines=", ".join(refused)))
     parts.append(

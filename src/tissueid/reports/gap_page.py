@@ -63,33 +63,33 @@ def times_noise(ratio: float) -> str:
     return _("{ratio} × noise").format(ratio=number(ratio, 3))
 
 
-def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]:
+def tables_of(diagnosis: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]:
     """The figures of a diagnosis.
 
     Args:
-        found: the diagnosis.
+        diagnosis: the diagnosis.
         called: what an effect is called in a sentence, by its name.
     """
-    where = found.where
+    where = diagnosis.where
     shares = tuple(
         (f"{_(STAGE_NAMES[item])}: {_(_TASKS[item])}", f"{fixed(100.0 * where.shares[item], 0)} %") for item in STAGES
     )
-    if found.verdict != "no_gap":
+    if diagnosis.verdict != "no_gap":
         yield Table(
             _("Stages"), (), shares, _("Shares of what noise does not explain, as logarithms of error over noise.")
         )
-    for name in found.combination:
+    for name in diagnosis.combination:
         # parameters of the accepted combination; they differ from those of single effects in the ranking
-        if found.best is not None and (table := _parameters(found.best, name, called(name))):
+        if diagnosis.best is not None and (table := _parameters(diagnosis.best, name, called(name))):
             yield table
-    if found.detection_limits:
-        yield _limits(found, called)
+    if diagnosis.detection_limits:
+        yield _limits(diagnosis, called)
     if where.errors:
-        unasked = set() if any(test.quiet for test in found.dataset.tests) else {"quiet"}
+        unasked = set() if any(test.quiet for test in diagnosis.dataset.tests) else {"quiet"}
         asked = {name: times for name, times in where.errors.items() if name not in unasked}
         errors = tuple((_(_QUESTIONS.get(name, name)), times_noise(times)) for name, times in asked.items())
         whole = ""
-        if found.verdict == "no_gap":
+        if diagnosis.verdict == "no_gap":
             whole = _(
                 "The simulation of the whole chain leaves only noise. An error here is no gap: noise of "
                 "the measured signals causes it in a single stage."
@@ -104,36 +104,36 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
         yield Table(_("Errors by question"), (), errors, " ".join(filter(None, [whole, translated(note)])))
 
 
-def _limits(found: Diagnosis, called: Callable[[str], str]) -> Table:
+def _limits(diagnosis: Diagnosis, called: Callable[[str], str]) -> Table:
     rows = []
-    for name, limit in found.detection_limits.items():
+    for name, limit in diagnosis.detection_limits.items():
         if limit is None:
             rows.append((called(name), _("not visible at any size, or estimated from the record"), ""))
             continue
-        words = _("below {size}") if limit.below else _("above {size}")
+        bound = _("below {size}") if limit.below else _("above {size}")
         meanings = {item.name: item.meaning for item in all_effects()[name].parameters}
-        rows.append((called(name), words.format(size=size_of(limit)), translated(meanings[limit.parameter])))
+        rows.append((called(name), bound.format(size=size_of(limit)), translated(meanings[limit.parameter])))
     note = _("Size from which an effect that is not named would have been named in this session, at its usual form.")
     return Table(_("Detection limits"), (_("Effect"), _("Visible"), _("Meaning")), tuple(rows), note)
 
 
-def _parameters(best: Candidate, name: str, words: str) -> Table | None:
+def _parameters(best: Candidate, name: str, label: str) -> Table | None:
     values = parameters_of(best, name)
-    known = {item.name: item for item in effect_in(best, name).parameters}
+    definitions = {item.name: item for item in effect_in(best, name).parameters}
     stds = stds_of(best)
     rows = []
     for key, value in values.items():
-        unit, scale = display_unit("" if known[key].unit == "1" else known[key].unit)
+        unit, scale = display_unit("" if definitions[key].unit == "1" else definitions[key].unit)
         std = stds.get(f"{name}.{key}", 0.0)
         text = number(scale * value, 3)
         if 0.0 < std < _WIDEST_STD and np.isfinite(std):
             text += f" ± {number(scale * std, 2)}"
-        rows.append((_(label_and_unit(key)[0]), with_unit(text, unit), translated(known[key].meaning)))
+        rows.append((_(label_and_unit(key)[0]), with_unit(text, unit), translated(definitions[key].meaning)))
     if not rows:
         return None
     head = (_("Parameter"), _("Value"), _("Meaning"))
     return Table(
-        _("Parameters of {effect}").format(effect=words),
+        _("Parameters of {effect}").format(effect=label),
         head,
         tuple(rows),
         _("± is one standard deviation, where the fit has one."),
@@ -151,16 +151,16 @@ class DiagnosisOrigin:
     file: Path
 
 
-def gap_html(found: Diagnosis, title: str = "", origin: DiagnosisOrigin | None = None) -> str:
+def gap_html(diagnosis: Diagnosis, title: str = "", origin: DiagnosisOrigin | None = None) -> str:
     """The page as HTML text: where, which, how far, and what to do next.
 
     Args:
-        found: the diagnosis.
+        diagnosis: the diagnosis.
         title: heading of the page.
         origin: what was diagnosed, to be named on the page and in what to type next.
     """
-    content = content_of(found, None if origin is None else origin.file)
-    figures = {panel.key: panel.picture().block for panel in gap_panels(found, content)}
+    content = content_of(diagnosis, None if origin is None else origin.file)
+    figures = {panel.key: panel.picture().block for panel in gap_panels(diagnosis, content)}
     places = ("frequency", "depth", "speed", "surface", "time", "current", "amplitude", "mains", "where")
     groups = (
         FigureGroup("g-where", _("Where it lies"), tuple(figures[key] for key in places if key in figures)),
@@ -173,17 +173,17 @@ def gap_html(found: Diagnosis, title: str = "", origin: DiagnosisOrigin | None =
         title=title or _("Simulated and recorded"),
         research_line=_(RESEARCH_LINE),
         software=SOFTWARE,
-        facts=tuple(_facts(found, origin)),
+        facts=tuple(_facts(diagnosis, origin)),
         headline=translated(content.headline),
         level=content.level,
         sentences=tuple(map(translated, content.means)),
-        numbers=tuple(_numbers(found)),
+        numbers=tuple(_numbers(diagnosis)),
         chain=FigureGroup("g-chain", "", (figures["chain"],)),
-        findings=_findings(found),
+        findings=_findings(diagnosis),
         groups=tuple(group for group in groups if group.figures),
-        ranking=_ranking(found),
+        ranking=_ranking(diagnosis),
         remedies=tuple(map(translated, content.todo)),
-        tables=tuple(tables_of(found, _effect)),
+        tables=tuple(tables_of(diagnosis, _effect)),
         remarks=tuple(map(translated, content.remarks)),
     )
 
@@ -204,8 +204,8 @@ def _interval(item: tuple[float, float]) -> str:
     return _("{low} to {high} %").format(low=fixed(100 * low, 0), high=fixed(100 * high, 0))
 
 
-def _facts(found: Diagnosis, origin: DiagnosisOrigin | None) -> Iterator[tuple[str, str]]:
-    device, tests = found.dataset.instrument, found.dataset.tests
+def _facts(diagnosis: Diagnosis, origin: DiagnosisOrigin | None) -> Iterator[tuple[str, str]]:
+    device, tests = diagnosis.dataset.instrument, diagnosis.dataset.tests
     if origin is not None:
         numbers = {test.number for test in tests}
         sites = dict.fromkeys(test.site for test in origin.session.tests if test.number in numbers and test.site)
@@ -216,22 +216,22 @@ def _facts(found: Diagnosis, origin: DiagnosisOrigin | None) -> Iterator[tuple[s
         yield _("Subject"), subject_text(origin.session.subject.pseudonym) or MISSING
     yield _("Instrument"), f"{device.model}, {device.serial_number}"
     yield _("Tests"), ", ".join(f"{test.number} {_kind(test.kind)}" for test in tests)
-    yield _("Signals"), ", ".join(_(name) for name in found.dataset.channels)
-    yield _("Computing time"), f"{fixed(found.seconds, 0)} s"
+    yield _("Signals"), ", ".join(_(name) for name in diagnosis.dataset.channels)
+    yield _("Computing time"), f"{fixed(diagnosis.seconds, 0)} s"
 
 
 def _kind(kind: str) -> str:
     return _("quiet (nothing is played)") if kind == "quiet" else _(kind.replace("_", " "))
 
 
-def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
+def _numbers(diagnosis: Diagnosis) -> Iterator[tuple[str, str, str]]:
     """Label, value and note."""
-    gap = found.gap
+    gap = diagnosis.gap
     yield _("Gap before"), share_text(gap.before), _("error over the signal's deviation, on data held out")
-    if found.verdict != "no_gap":
+    if diagnosis.verdict != "no_gap":
         yield _("Gap after"), share_text(gap.after), _("with the leading explanation added")
     yield _("Noise alone"), share_text(gap.floor), _("what the sensors' noise alone leaves")
-    if found.verdict != "no_gap" and np.isfinite(gap.closed):
+    if diagnosis.verdict != "no_gap" and np.isfinite(gap.closed):
         note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else _("of what noise does not explain")
         chosen_by = translated(
             Message(
@@ -243,8 +243,8 @@ def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
         yield _("Closed"), _percent(gap.closed), note + (chosen_by if np.isfinite(gap.predicted_closed) else "")
 
 
-def _findings(found: Diagnosis) -> Table | None:
-    where = found.where
+def _findings(diagnosis: Diagnosis) -> Table | None:
+    where = diagnosis.where
     if not where.findings:
         return None
     rows = tuple(
@@ -260,17 +260,17 @@ def _findings(found: Diagnosis) -> Table | None:
     )
 
 
-def _ranking(found: Diagnosis) -> Table | None:
-    candidates = ordered_candidates(found)[:_LISTED]
+def _ranking(diagnosis: Diagnosis) -> Table | None:
+    candidates = ordered_candidates(diagnosis)[:_LISTED]
     if not candidates:
         return None
-    places = {item.effect: str(place) for place, item in enumerate(candidates, 1)}
-    rows = tuple(_ranked(found, item, places) for item in candidates)
+    places = {item.effect: str(number) for number, item in enumerate(candidates, 1)}
+    rows = tuple(_ranked(diagnosis, item, places) for item in candidates)
     head = ("", _("Effect"), _("Stage"), _("Probability"), _("Closed"), "95 %", _("Not separable"))
     # A column that says nothing in any row only makes the others narrow.
-    kept = [place for place in range(len(head)) if place == 0 or any(row[place] for row in rows)]
-    narrowed = tuple(tuple(row[place] for place in kept) for row in rows)
-    shown = tuple(head[place] for place in kept)
+    kept = [column for column in range(len(head)) if column == 0 or any(row[column] for row in rows)]
+    narrowed = tuple(tuple(row[column] for column in kept) for row in rows)
+    shown = tuple(head[column] for column in kept)
     note = (
         _("Not separable: candidates, by number, that this data cannot separate from it.")
         if _("Not separable") in shown
@@ -279,9 +279,9 @@ def _ranking(found: Diagnosis) -> Table | None:
     return Table(_("Candidates"), shown, narrowed, note)
 
 
-def _ranked(found: Diagnosis, item: Ranked, places: Mapping[str, str]) -> tuple[str, ...]:
+def _ranked(diagnosis: Diagnosis, item: Ranked, places: Mapping[str, str]) -> tuple[str, ...]:
     alike = ", ".join(places.get(name) or _effect(name) for name in item.indistinguishable)
-    share = shown_probability(found, item.effect, item.probability)
+    share = shown_probability(diagnosis, item.effect, item.probability)
     probability = f"{percent(share)} %" if np.isfinite(share) else ""
     closed = f"{fixed(100.0 * item.closed, 0)} %" if np.isfinite(item.closed) else ""
     name, stage = _effect(item.effect), _(STAGE_NAMES[item.stage])

@@ -52,14 +52,14 @@ _HALF_WIDTH, _HALF_HEIGHT = 0.62, 0.27
 _DARKEST = 0.85
 
 
-def draw_chain(figure: FigureBase, found: Diagnosis) -> None:
+def draw_chain(figure: FigureBase, diagnosis: Diagnosis) -> None:
     """Boxes for the stages, arrows for the signals; the deeper a box is coloured, the larger its share of the gap."""
     axes = figure.subplots(1, 1)
     axes.set_axis_off()
     axes.set_xlim(-0.7, 8.9)
     axes.set_ylim(-0.5, 1.65)
     for stage, label, x, y in _PLACES:
-        _box(axes, label, x, y, found.where.shares[stage], lit=stage in found.at_fault)
+        _box(axes, label, x, y, diagnosis.where.shares[stage], lit=stage in diagnosis.at_fault)
     for x, label in _SIGNALS:
         axes.annotate(
             "",
@@ -102,8 +102,8 @@ def _box(axes: Axes, label: str, x: float, y: float, share: float, *, lit: bool)
         FancyBboxPatch(corner, *size, boxstyle=style, facecolor="none", edgecolor=edge, linewidth=width, zorder=3)
     )
     axes.text(x, y + 0.07, _(label), ha="center", va="center", zorder=4, weight="bold" if lit else "normal")
-    words = f"{100.0 * share:.0f} %" if share > 0.0 else _("named cause") if lit else _("only noise")
-    axes.text(x, y - 0.12, words, ha="center", va="center", zorder=4, fontsize=8.0)
+    share_text = f"{100.0 * share:.0f} %" if share > 0.0 else _("named cause") if lit else _("only noise")
+    axes.text(x, y - 0.12, share_text, ha="center", va="center", zorder=4, fontsize=8.0)
 
 
 def _link(axes: Axes, start: tuple[float, float], end: tuple[float, float], *, both: bool = False) -> None:
@@ -119,21 +119,21 @@ def _link(axes: Axes, start: tuple[float, float], end: tuple[float, float], *, b
 _LISTED = 8
 
 
-def gap_panels(found: Diagnosis, content: DiagnosisContent | None = None) -> Iterator[Panel]:
+def gap_panels(diagnosis: Diagnosis, content: DiagnosisContent | None = None) -> Iterator[Panel]:
     """All pictures of a diagnosis with its content."""
-    content = content or content_of(found)
-    regions = found.where.regions
+    content = content or content_of(diagnosis)
+    regions = diagnosis.where.regions
     yield Panel(
         "chain",
         _("The chain and the stage at fault"),
         _("Stages from command to recorded numbers; at fault: {stages}.").format(
-            stages=", ".join(_(STAGE_NAMES[stage]) for stage in found.at_fault) or _("none")
+            stages=", ".join(_(STAGE_NAMES[stage]) for stage in diagnosis.at_fault) or _("none")
         ),
         _(
             "Each stage is given what was measured upstream of it and refitted within its calibration; its share is "
             "what it still leaves, as the logarithm of error over noise. The deeper the colour, the larger the share."
         ),
-        lambda figure: draw_chain(figure, found),
+        lambda figure: draw_chain(figure, diagnosis),
         height=2.5,
     )
     if not regions.profiles:
@@ -183,7 +183,7 @@ def gap_panels(found: Diagnosis, content: DiagnosisContent | None = None) -> Ite
             "What is left on average, as a multiple of the noise: a force that goes with depth shows as columns, "
             "friction as an upper and a lower half (restoring-force surface)."
         ),
-        lambda figure: draw_surface(figure, found),
+        lambda figure: draw_surface(figure, diagnosis),
         wide=False,
         height=3.2,
     )
@@ -200,7 +200,7 @@ def gap_panels(found: Diagnosis, content: DiagnosisContent | None = None) -> Ite
         height=3.2,
     )
     yield from _more_profiles(content, regions.mains_hz, of)
-    if candidates := ordered_candidates(found):
+    if candidates := ordered_candidates(diagnosis):
         yield Panel(
             "ranking",
             _("Candidates"),
@@ -281,13 +281,13 @@ def draw_profile(figure: FigureBase, content: DiagnosisContent, name: str, mains
     draw_plot(figure.subplots(1, 1), plot, title=False)
 
 
-def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
+def draw_surface(figure: FigureBase, diagnosis: Diagnosis) -> None:
     """Mean residual over depth and velocity.
 
     Raises:
         UnusableInputError: too little was visited.
     """
-    surface = found.where.regions.surface
+    surface = diagnosis.where.regions.surface
     if surface is None:
         raise UnusableInputError("report.no_surface", "too little of depth and velocity was visited")
     values = Surface(

@@ -60,7 +60,7 @@ class _Drawing:
     plots: Callable[[Overlay], Rows]
     row_height: float | Callable[[Overlay], float] = _PANEL
     over: bool = True
-    note: Callable[[Overlay], str] = lambda _found: ""
+    note: Callable[[Overlay], str] = lambda _overlay: ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,22 +87,22 @@ class DrawnFigures:
 class OverlayReport(DrawnFigures):
     """The drawn figures of an overlay."""
 
-    found: Overlay
+    overlay: Overlay
 
     def html(self) -> str:
         """Return the page: scores, figures, tables."""
-        sources = ", ".join(self.found.sources)
+        sources = ", ".join(self.overlay.sources)
         return template("stimulus.html.j2").render(
             title=_("Several tests in one figure"),
-            facts=((_("Tests"), sources), (_("Fits"), ", ".join(self.found.fits))),
+            facts=((_("Tests"), sources), (_("Fits"), ", ".join(self.overlay.fits))),
             research_line=_(RESEARCH_LINE),
             software=SOFTWARE,
-            headline=_("{count} fits").format(count=len(self.found.entries)),
-            level="check" if self.found.refused else "good",
-            concerns=tuple(translated(text) for text in self.found.refused),
+            headline=_("{count} fits").format(count=len(self.overlay.entries)),
+            level="check" if self.overlay.refused else "good",
+            concerns=tuple(translated(text) for text in self.overlay.refused),
             summary=(),
-            tables=(overlay_scores(self.found), repeated_table(self.found)),
-            group=FigureGroup("figures", _("Figures"), tuple(one.block for one in self.pictures)),
+            tables=(overlay_scores(self.overlay), repeated_table(self.overlay)),
+            group=FigureGroup("figures", _("Figures"), tuple(drawn.block for drawn in self.pictures)),
         )
 
     def write(self, path: Path) -> None:
@@ -115,33 +115,35 @@ class OverlayReport(DrawnFigures):
 
 
 def overlay_report(
-    found: Overlay, calibration: Columns | None = None, keys: Sequence[str] | None = None
+    overlay: Overlay, calibration: Columns | None = None, keys: Sequence[str] | None = None
 ) -> OverlayReport:
     """Draw the figures of an overlay; those that its fits cannot give are left out, and all but one of a sweep.
 
     Args:
-        found: the fits.
+        overlay: the fits.
         calibration: columns of a dynamic sweep that are drawn under the depth profiles.
         keys: names of the figures to draw; None for all.
     """
     pictures: list[Picture] = []
     plots: list[Plot] = []
-    for one in _DRAWINGS[:1] if found.swept else (_depth(calibration), *_DRAWINGS):
-        if keys is not None and one.key not in keys:
+    for described in _DRAWINGS[:1] if overlay.swept else (_depth(calibration), *_DRAWINGS):
+        if keys is not None and described.key not in keys:
             continue
         try:
-            rows = one.plots(found)
+            rows = described.plots(overlay)
         except UnusableInputError:
             continue
         plots += [plot for row in rows for plot in row]
 
-        def make(one: _Drawing = one, rows: Rows = rows) -> tuple[Figure, str]:
-            text = _(one.caption)
-            height = one.row_height if isinstance(one.row_height, float) else one.row_height(found)
-            return grid_figure(rows, height, over=one.over), " ".join(filter(None, (text, one.note(found))))
+        def make(described: _Drawing = described, rows: Rows = rows) -> tuple[Figure, str]:
+            text = _(described.caption)
+            height = described.row_height if isinstance(described.row_height, float) else described.row_height(overlay)
+            return grid_figure(rows, height, over=described.over), " ".join(
+                filter(None, (text, described.note(overlay)))
+            )
 
-        pictures.append(picture(one.key, _(one.heading), _(one.alt), make))
-    return OverlayReport(tuple(pictures), tuple(plots), found)
+        pictures.append(picture(described.key, _(described.heading), _(described.alt), make))
+    return OverlayReport(tuple(pictures), tuple(plots), overlay)
 
 
 @drawing
@@ -155,7 +157,7 @@ def grid_figure(rows: Rows, row_height: float, *, over: bool = True) -> Figure:
     full = [[*row, *[Plot("", rows[0][0].x, rows[0][0].y, missing=" ")] * (columns - len(row))] for row in rows]
     axes, _long = draw_grid(figure, full, key=not over)
     if over:
-        key_over(figure, next((one for one in axes if one.get_legend_handles_labels()[1]), axes[0]))
+        key_over(figure, next((panel for panel in axes if panel.get_legend_handles_labels()[1]), axes[0]))
     return figure
 
 
@@ -182,31 +184,31 @@ def _depth(calibration: Columns | None) -> _Drawing:
             "Every source has a colour and every fit a marker, with 95 % bars or bands. Small tests about several "
             "loads that share a label are joined. Grey: the calibration spring along the stroke, if a sweep is given."
         ),
-        lambda found: [depth_overlay(found, calibration)],
+        lambda overlay: [depth_overlay(overlay, calibration)],
         row_height=3.6,
     )
 
 
-def _loops(found: Overlay) -> str:
+def _loops(overlay: Overlay) -> str:
     """Return the loop widths of Wiener fits as a sentence."""
     said = []
-    for entry in found.entries:
+    for entry in overlay.entries:
         if isinstance(entry.analysis.model, WienerModel):
             unit, scale = display_unit(entry.analysis.record.output_unit)
-            said.append(f"{found.label(entry)} {number(scale * curves.loop_width(entry), 3)} {unit}")
+            said.append(f"{overlay.label(entry)} {number(scale * curves.loop_width(entry), 3)} {unit}")
     return _("Distance between the way in and the way out: {widths}.").format(widths=", ".join(said))
 
 
-def _lobes(found: Overlay) -> str:
+def _lobes(overlay: Overlay) -> str:
     """Return the main lobes of second-order kernels as a sentence."""
     said = []
-    for entry in found.entries:
+    for entry in overlay.entries:
         model = entry.analysis.model
         if isinstance(model, VolterraModel) and model.kernel2 is not None:
             lobes = kernels.kernel_lobes(model.kernel2, model.lag_spacing / model.sample_rate_hz)
             said.append(
                 _("{name}: peak at {lag} ms, {width} ms wide, side lobes of {side_lobe} %").format(
-                    name=found.label(entry),
+                    name=overlay.label(entry),
                     lag=fixed(1e3 * lobes.lag_s, 1),
                     width=fixed(1e3 * lobes.width_s, 1),
                     side_lobe=fixed(100.0 * lobes.side_lobe, 0),
@@ -224,7 +226,7 @@ _DRAWINGS = (
             "All scores are those of the fitted samples. Models with partitions are scheduled by the measured output. "
             "The lowest AICc is the best; values far above the others are cut off."
         ),
-        lambda found: [curves.sweep_overlay(found)],
+        lambda overlay: [curves.sweep_overlay(overlay)],
         row_height=3.6,
     ),
     _Drawing(
@@ -232,8 +234,8 @@ _DRAWINGS = (
         marked("Scores"),
         marked("Dots for each test and fit: variance accounted for."),
         marked("Scheduled scores use part of what they predict and cannot be compared with those of simulations."),
-        lambda found: [[curves.score_overlay(found)]],
-        row_height=lambda found: 0.8 + 0.3 * len({found.label(entry) for entry in found.entries}),
+        lambda overlay: [[curves.score_overlay(overlay)]],
+        row_height=lambda overlay: 0.8 + 0.3 * len({overlay.label(entry) for entry in overlay.entries}),
     ),
     _Drawing(
         "bode-by-depth",
@@ -243,21 +245,21 @@ _DRAWINGS = (
             "The second-order system at each depth. The magnitude at low frequencies is one over the stiffness: it "
             "falls with depth where tissue stiffens."
         ),
-        lambda found: _transposed(bode_by_depth(found)),
+        lambda overlay: _transposed(bode_by_depth(overlay)),
     ),
     _Drawing(
         "impulse-by-depth",
         marked("Impulse response by depth"),
         marked("Impulse responses at each depth, and below each divided by its area; a column for each series."),
         marked("Divided by its area, a response shows the dynamics alone: in a Wiener system all would coincide."),
-        lambda found: _transposed(impulse_by_depth(found)),
+        lambda overlay: _transposed(impulse_by_depth(overlay)),
     ),
     _Drawing(
         "responses",
         marked("Impulse responses and Bode diagrams"),
         marked("Impulse response, magnitude and phase of every fit, laid over each other."),
         marked("About the mean input of each test."),
-        lambda found: [curves.response_overlay(found)],
+        lambda overlay: [curves.response_overlay(overlay)],
         row_height=3.4,
     ),
     _Drawing(
@@ -268,7 +270,7 @@ _DRAWINGS = (
             "A line follows half a second of the samples; dashed, the fitted curve. Loops show dynamics that depend on "
             "the output, which no static nonlinearity describes."
         ),
-        lambda found: _rows(curves.nonlinearity_overlay(found), 3),
+        lambda overlay: _rows(curves.nonlinearity_overlay(overlay), 3),
         row_height=3.3,
         over=False,
         note=_loops,
@@ -278,7 +280,7 @@ _DRAWINGS = (
         marked("Correlations of input and output"),
         marked("Autocorrelations of input and output and their cross-correlation over both signs of the lag."),
         captions.CORRELATIONS,
-        lambda found: [signal_correlations({curves.named(n): r for n, r in found.records.items()})],
+        lambda overlay: [signal_correlations({curves.named(n): r for n, r in overlay.records.items()})],
         row_height=3.2,
     ),
     _Drawing(
@@ -286,7 +288,7 @@ _DRAWINGS = (
         marked("First-order kernels"),
         marked("First-order kernels against lag, and diagonals of the second-order kernels."),
         marked("Softer and less damped tissue has higher peaks and more oscillation."),
-        lambda found: [kernels.first_kernels(found)],
+        lambda overlay: [kernels.first_kernels(overlay)],
         row_height=3.4,
     ),
     _Drawing(
@@ -294,7 +296,7 @@ _DRAWINGS = (
         marked("Second-order kernels side by side"),
         marked("Images of the second-order kernels over two lags, one for each test and fit."),
         marked("Kernels of the same fit share the scale of their colours. VAF of the fitted samples."),
-        lambda found: _rows(kernels.second_kernels(found), 2),  # titles and colour bars take room
+        lambda overlay: _rows(kernels.second_kernels(overlay), 2),  # titles and colour bars take room
         row_height=3.1,
         over=False,
         note=_lobes,
@@ -307,22 +309,22 @@ _DRAWINGS = (
             "Scheduled by the measured output, fitted samples. In a Wiener system the peaks of all depths lie at one "
             "lag; where the parameters change independently, they move."
         ),
-        lambda found: _transposed(kernels.partition_columns(found)),
+        lambda overlay: _transposed(kernels.partition_columns(overlay)),
         over=True,
     ),
 )
 
 
-def overlay_scores(found: Overlay) -> Table:
+def overlay_scores(overlay: Overlay) -> Table:
     """Return scores, parameters and seconds of every entry."""
     head = (
         _("Tests"), _("Fit"), _("VAF, fitted (%)"), _("VAF, held out (%)"), _("VAF, fitted, scheduled (%)"), "AICc",
         _("Parameters"), _("Seconds"), _("Interpretable"),
     )  # fmt: skip
     rows = []
-    for entry in found.entries:
+    for entry in overlay.entries:
         report = entry.analysis.model.report
-        swept = "" if entry.swept is None else f", {found.swept} {entry.swept:g}"
+        swept = "" if entry.swept is None else f", {overlay.swept} {entry.swept:g}"
         criterion = report.aicc if entry.scheduled_aicc is None else entry.scheduled_aicc
         rows.append(
             (
@@ -340,24 +342,24 @@ def overlay_scores(found: Overlay) -> Table:
     return Table(_("Scores"), head, tuple(rows))
 
 
-def repeated_table(found: Overlay) -> Table:
+def repeated_table(overlay: Overlay) -> Table:
     """Return mean, standard deviation and coefficient of variation of every quantity (Chen 2010, Table 3.1)."""
     head = (_("Tests"), _("Fit"), _("Quantity"), _("Unit"), _("Count"), _("Mean"), _("SD"), _("CV (%)"))
     rows = []
-    for one in repeated_values(found):
-        label, si_unit = quantity_label(one.quantity)
+    for repeated in repeated_values(overlay):
+        label, si_unit = quantity_label(repeated.quantity)
         unit, scale = display_unit(si_unit)
-        known = np.isfinite(one.std)
+        finite = np.isfinite(repeated.std)
         rows.append(
             (
-                one.source,
-                one.fit,
+                repeated.source,
+                repeated.fit,
                 _(label),
                 unit,
-                str(one.count),
-                number(scale * one.mean),
-                number(scale * one.std, 3) if known else MISSING,
-                fixed(100.0 * one.cv, 2) if known else MISSING,
+                str(repeated.count),
+                number(scale * repeated.mean),
+                number(scale * repeated.std, 3) if finite else MISSING,
+                fixed(100.0 * repeated.cv, 2) if finite else MISSING,
             )
         )
     return Table(_("Mean and standard deviation over tests"), head, tuple(rows))

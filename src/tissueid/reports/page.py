@@ -226,17 +226,17 @@ def captions_for_configuration(test: Test, pictures: Iterable[Picture]) -> tuple
     word = travel_word(test.configuration)
 
     def put(text: str) -> str:
-        return _DEPTH.sub(lambda found: (word.capitalize() if found[1] == "D" else word) + found[2], text)
+        return _DEPTH.sub(lambda match: (word.capitalize() if match[1] == "D" else word) + match[2], text)
 
     return tuple(
         replace(
-            one,
-            heading=put(one.heading),
-            alt=put(one.alt),
-            caption=put(one.caption),
-            missing=put(translated(one.missing)),
+            drawn,
+            heading=put(drawn.heading),
+            alt=put(drawn.alt),
+            caption=put(drawn.caption),
+            missing=put(translated(drawn.missing)),
         )
-        for one in pictures
+        for drawn in pictures
     )
 
 

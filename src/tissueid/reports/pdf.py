@@ -133,21 +133,21 @@ class PageWriter:
         if self.y - inches < _BOTTOM:
             self._new_page()
 
-    def line(self, words: str, *, size: float = 9.0, colour: str = INK, bold: bool = False) -> None:
+    def line(self, text: str, *, size: float = 9.0, colour: str = INK, bold: bool = False) -> None:
         """One line of text."""
         self.ensure_room(_LINE)
         self.y -= max(_LINE, size * 1.35 / 72.0)
-        self.text(_LEFT, words, size=size, colour=colour, bold=bold)
+        self.text(_LEFT, text, size=size, colour=colour, bold=bold)
 
-    def wrapped(self, words: str, *, size: float = 8.0, across: int = _ACROSS) -> None:
+    def wrapped(self, text: str, *, size: float = 8.0, across: int = _ACROSS) -> None:
         """Text in small muted lines of at most ``across`` letters."""
-        for line in textwrap.wrap(clean(words), across):
+        for line in textwrap.wrap(clean(text), across):
             self.line(line, size=size, colour=MUTED)
 
-    def text(self, x: float, words: str, *, size: float = 9.0, colour: str = INK, bold: bool = False) -> None:
-        """Words at a place of the present line."""
+    def text(self, x: float, text: str, *, size: float = 9.0, colour: str = INK, bold: bool = False) -> None:
+        """Text at ``x`` inches on the present line."""
         weight = "bold" if bold else "normal"
-        self.pages[-1].text(x / _WIDTH, self.y / _HEIGHT, clean(words), fontsize=size, color=colour, fontweight=weight)
+        self.pages[-1].text(x / _WIDTH, self.y / _HEIGHT, clean(text), fontsize=size, color=colour, fontweight=weight)
 
     def draw_rule(self) -> None:
         """Draw a thin horizontal line."""
@@ -179,12 +179,12 @@ class PageWriter:
         self.line(heading, size=11.0, bold=True)
         letter = _LETTER * size / 9.0
         if widths is not None:
-            self._rows([_LEFT + sum(widths[:place]) for place in range(len(widths))], heads, rows, size)
+            self._rows([_LEFT + sum(widths[:column]) for column in range(len(widths))], heads, rows, size)
             return
-        letters = [max(_shown(head), *(len(row[place]) for row in rows)) for place, head in enumerate(heads)]
+        letters = [max(_shown(head), *(len(row[column]) for row in rows)) for column, head in enumerate(heads)]
         most = int((_RIGHT - _LEFT) / letter) - sum(letters[1:]) - 3 * len(letters)
         letters[0] = max(8, min(letters[0], most))
-        starts = [_LEFT + letter * (sum(letters[:place]) + 3 * place) for place in range(len(letters))]
+        starts = [_LEFT + letter * (sum(letters[:column]) + 3 * column) for column in range(len(letters))]
         short = [[_short(cell, wide) for cell, wide in zip(row, letters, strict=True)] for row in rows]
         self._rows(starts, heads, short, size)
 
@@ -203,11 +203,11 @@ class PageWriter:
     def _heads(self, starts: Sequence[float], heads: Sequence[str], size: float) -> None:
         split = [head.split("\n") for head in heads]
         count = max(map(len, split)) if any(heads) else 0
-        for place in range(count):
+        for row in range(count):
             self.y -= _LINE * size / 9.0
             for x, lines in zip(starts, split, strict=True):
-                if place >= count - len(lines):
-                    self.text(x, lines[place - count + len(lines)], size=8.0 * size / 9.0, colour=MUTED)
+                if row >= count - len(lines):
+                    self.text(x, lines[row - count + len(lines)], size=8.0 * size / 9.0, colour=MUTED)
 
     def write(self, target: io.BytesIO, subject: str) -> None:
         """Write all pages as PDF, with their numbers; ``subject`` is what the report is about."""
@@ -252,10 +252,10 @@ class PageWriter:
         width = (_RIGHT - _LEFT) / (count or len(draws))
         page = self.pages[-1]
         drawn, cells = [], []
-        for place, (title, draw) in enumerate(draws):
-            x, y, high = _LEFT + place * width, self.y - inches + 0.1, inches - 0.35
-            words = _short(clean(title), int(width / _LETTER))
-            page.text(x / _WIDTH, (self.y - 0.17) / _HEIGHT, words, fontsize=9.0, color=INK, fontweight="bold")
+        for index, (title, draw) in enumerate(draws):
+            x, y, high = _LEFT + index * width, self.y - inches + 0.1, inches - 0.35
+            shortened = _short(clean(title), int(width / _LETTER))
+            page.text(x / _WIDTH, (self.y - 0.17) / _HEIGHT, shortened, fontsize=9.0, color=INK, fontweight="bold")
             cells.append((x, y, width - 0.15, high))
             axes = page.add_axes((x / _WIDTH, y / _HEIGHT, (width - 0.15) / _WIDTH, high / _HEIGHT))
             draw(axes)
@@ -281,9 +281,9 @@ def key_size(names: Sequence[str]) -> tuple[int, float]:
     return columns, 0.06 + 0.18 * -(-len(names) // columns)
 
 
-def text_width(words: str, size: float) -> float:
+def text_width(text: str, size: float) -> float:
     """Return the width of a line of text in inches."""
-    width, _height, _descent = _MEASURE.get_text_width_height_descent(words, FontProperties(size=size), False)
+    width, _height, _descent = _MEASURE.get_text_width_height_descent(text, FontProperties(size=size), False)
     return float(width / _MEASURE.dpi)
 
 
@@ -299,9 +299,11 @@ def _fit_axes(page: Figure, drawn: Sequence[Axes], cells: Sequence[tuple[float, 
             ends = inside.x0 - outside.x0, inside.y0 - outside.y0, outside.x1 - inside.x1, outside.y1 - inside.y1
             edges.append([max(0.0, end / page.dpi) for end in ends])
         below, above = max(edge[1] for edge in edges), max(edge[3] for edge in edges)
-        for axes, (left, _below, right, _above), (x, y, width, height) in zip(drawn, edges, cells, strict=True):
-            size = max(_LEAST, width - left - right), max(_LEAST, height - below - above)
-            axes.set_position(((x + left) / _WIDTH, (y + below) / _HEIGHT, size[0] / _WIDTH, size[1] / _HEIGHT))
+        for axes, (left_edge, _below, right_edge, _above), (x, y, width, height) in zip(
+            drawn, edges, cells, strict=True
+        ):
+            size = max(_LEAST, width - left_edge - right_edge), max(_LEAST, height - below - above)
+            axes.set_position(((x + left_edge) / _WIDTH, (y + below) / _HEIGHT, size[0] / _WIDTH, size[1] / _HEIGHT))
 
 
 def _heading(paper: PageWriter, session: Session, test: Test) -> None:
@@ -316,8 +318,8 @@ def _heading(paper: PageWriter, session: Session, test: Test) -> None:
         rate=test.sample_rate_hz,
     )
     if len(session.tests) > 1:
-        place = _("{number} of the {count} of this session").format(number=test.number, count=len(session.tests))
-        settings = f"{place}, {settings}"
+        ordinal = _("{number} of the {count} of this session").format(number=test.number, count=len(session.tests))
+        settings = f"{ordinal}, {settings}"
     facts = (
         (_("Subject"), subject_text(session.subject.pseudonym)),
         (_("Date"), readable_date(session.created)),
@@ -346,8 +348,12 @@ def _verdict(paper: PageWriter, test: Test, analyses: Analyses) -> None:
 
 def _numbers(paper: PageWriter, test: Test, analyses: Analyses) -> None:
     rows = [
-        (one.label, f"{one.value}{f' ± {one.std}' if one.std else ''} {one.unit}".strip(), one.note)
-        for one in key_numbers(analyses)
+        (
+            key_number.label,
+            f"{key_number.value}{f' ± {key_number.std}' if key_number.std else ''} {key_number.unit}".strip(),
+            key_number.note,
+        )
+        for key_number in key_numbers(analyses)
     ]
     if not rows:
         return
@@ -373,16 +379,16 @@ def _figures(paper: PageWriter, analyses: Analyses) -> None:
     figure = paper.pages[-1]
     top = paper.y - 0.4
     width, height = 2.85, (min(_FIGURES, paper.y - _BOTTOM) - 1.6) / 2
-    found = plots_of_test(analyses, linear_engine(analyses))
+    test_plots = plots_of_test(analyses, linear_engine(analyses))
     plots = (
-        (_("Impulse response"), found.impulse),
-        (_("Magnitude of the compliance"), found.magnitude),
-        (_("Static nonlinearity"), found.nonlinearity),
-        (_("Unseen motion"), found.prediction),
+        (_("Impulse response"), test_plots.impulse),
+        (_("Magnitude of the compliance"), test_plots.magnitude),
+        (_("Static nonlinearity"), test_plots.nonlinearity),
+        (_("Unseen motion"), test_plots.prediction),
     )
-    for place, (name, plot) in enumerate(plots):
-        x = _LEFT + 0.45 + (place % 2) * (width + 0.7)
-        y = top - height - (place // 2) * (height + 0.75)
+    for index, (name, plot) in enumerate(plots):
+        x = _LEFT + 0.45 + (index % 2) * (width + 0.7)
+        y = top - height - (index // 2) * (height + 0.75)
         axes = figure.add_axes((x / _WIDTH, y / _HEIGHT, width / _WIDTH, height / _HEIGHT))
         draw_plot(axes, plot, title=False)
         axes.set_title(name, fontweight="bold")

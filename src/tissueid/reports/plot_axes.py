@@ -121,8 +121,8 @@ def turn_names(axes: Axes, width: float) -> None:
     for size in (usual, _SMALL_NAMES):
         axes.tick_params(axis="x", labelsize=size)
         halves = [0.5 * label.get_window_extent().width if label.get_text() else 0.0 for label in labels]
-        named = [(scale * float(place), half) for place, half in zip(places, halves, strict=True) if half]
-        if all(b - a > left + right + gap for (a, left), (b, right) in itertools.pairwise(named)):
+        named = [(scale * float(tick), half) for tick, half in zip(places, halves, strict=True) if half]
+        if all(b - a > half_a + half_b + gap for (a, half_a), (b, half_b) in itertools.pairwise(named)):
             return
     names = [clean(textwrap.shorten(label.get_text(), _LONGEST_TURNED, placeholder="…")) for label in labels]
     axes.set_xticks(places, names, rotation=_TURN_DEGREES, ha="right", rotation_mode="anchor", parse_math=False)
@@ -138,7 +138,7 @@ def dress(axes: Axes, look: Look) -> None:
             spine.set_color(look.muted)
             spine.set_linewidth(0.8)
             spine.set_visible(side in ("left", "bottom"))
-        if axes.images or any(isinstance(one, QuadMesh) for one in axes.collections):
+        if axes.images or any(isinstance(artist, QuadMesh) for artist in axes.collections):
             axes.grid(visible=False)
         elif axes.axison:
             axes.grid(visible=True, color=look.grid, linewidth=0.7)
@@ -168,7 +168,7 @@ def depth_bar(axes: Axes, depths: Axis, units: Units, look: Look) -> None:
     drawn = ScalarMappable(norm, ListedColormap(list(DEPTHS)))  # type: ignore[arg-type]
     bar = axes.figure.colorbar(drawn, ax=axes, pad=0.02, shrink=0.9)
     places, decimals = np.linspace(ends[0], ends[1], 4), 2 if np.ptp(ends) < 10.0 else 0
-    bar.set_ticks([float(place) for place in places], labels=[f"{place:.{decimals}f}" for place in places])
+    bar.set_ticks([float(tick) for tick in places], labels=[f"{tick:.{decimals}f}" for tick in places])
     finish_bar(bar, label_of(depths, units), look)
 
 
@@ -182,8 +182,8 @@ def finish_bar(bar: Colorbar, label: str, look: Look) -> None:
 def say_missing(axes: Axes, text: str, look: Look) -> None:
     """Show a text in place of a plot."""
     axes.set_axis_off()
-    words = textwrap.fill(clean(text[:1].upper() + text[1:]), _WRAP)
-    axes.text(0.5, 0.5, words, color=look.muted, fontsize=look.font_size, transform=axes.transAxes, ha="center",
+    wrapped = textwrap.fill(clean(text[:1].upper() + text[1:]), _WRAP)
+    axes.text(0.5, 0.5, wrapped, color=look.muted, fontsize=look.font_size, transform=axes.transAxes, ha="center",
               va="center", parse_math=False)  # fmt: skip
 
 
@@ -213,12 +213,12 @@ def _hold_bands(axes: Axes, plot: Plot, factor: float) -> None:
 def scale_axes(axes: Axes, plot: Plot, factors: tuple[float, float], look: Look) -> None:
     """Give axes the limits, scales and ticks of a plot; ``factors`` convert its units to those of the reader."""
     if plot.x.log:
-        known = [
+        positive = [
             factors[0] * np.asarray(c.x)[np.asarray(c.x) > 0.0] for c in plot.curves if c.kind not in ("level", "spans")
         ]
         ends = plot.x.limits or (
-            (min(float(v.min()) for v in known if v.size), max(float(v.max()) for v in known if v.size))
-            if any(v.size for v in known)
+            (min(float(v.min()) for v in positive if v.size), max(float(v.max()) for v in positive if v.size))
+            if any(v.size for v in positive)
             else (1.0, 10.0)
         )
         frequency_axis(axes, ends[0], ends[1] if ends[1] > ends[0] else 2.0 * ends[0])
@@ -241,7 +241,7 @@ def scale_axes(axes: Axes, plot: Plot, factors: tuple[float, float], look: Look)
     for along, ticks, factor in ((axes.xaxis, plot.x.ticks, factors[0]), (axes.yaxis, plot.y.ticks, factors[1])):
         if ticks:
             labels = ["\n".join(map(clean, translated(text).split("\n"))) for _, text in ticks]
-            along.set_ticks([factor * place for place, _ in ticks], labels=labels, parse_math=False)
+            along.set_ticks([factor * tick for tick, _ in ticks], labels=labels, parse_math=False)
     if plot.square:
         axes.set_box_aspect(1.0)
     if plot.y.zero:
@@ -289,14 +289,16 @@ def lay_out(figure: Figure) -> None:
         return
     boxes = [axes.get_tightbbox(renderer, for_layout_only=True) or axes.bbox for axes in every]
     inside = [axes.bbox for axes in every]
-    left = max(axes.x0 - box.x0 for axes, box in zip(inside, boxes, strict=True))
-    right = max(box.x1 - max(one.x1 for one in inside) for box in boxes)
-    rows = [(axes, box) for one, axes, box in zip(every, inside, boxes, strict=True) if not hasattr(one, "_colorbar")]
+    left_margin = max(axes.x0 - box.x0 for axes, box in zip(inside, boxes, strict=True))
+    right_margin = max(box.x1 - max(bbox.x1 for bbox in inside) for box in boxes)
+    rows = [
+        (axes, box) for drawn, axes, box in zip(every, inside, boxes, strict=True) if not hasattr(drawn, "_colorbar")
+    ]
     above, below = [box.y1 - axes.y1 for axes, box in rows], [axes.y0 - box.y0 for axes, box in rows]
     between = max((low + high for low, high in zip(below[:-1], above[1:], strict=True)), default=0.0) + _GAP
     each = max(1.0, (height - above[0] - below[-1] - 2.0 * _GAP - (len(rows) - 1) * between) / len(rows))
     low, high = (below[-1] + _GAP) / height, 1.0 - (above[0] + _GAP) / height
-    start, end = (left + _GAP) / width, 1.0 - (max(right, 0.0) + _GAP) / width
+    start, end = (left_margin + _GAP) / width, 1.0 - (max(right_margin, 0.0) + _GAP) / width
     if low < high and start < end:
         figure.subplots_adjust(start, low, end, high, hspace=between / each)
 
@@ -350,9 +352,9 @@ def _place_key(axes: Axes, room: float) -> None:
     key, title = legend.get_window_extent().width, cast(Any, axes)._left_title.get_window_extent().width
     # The margins are not set yet: the axes will be as wide as names and labels of the ordinate leave.
     ordinate = axes.yaxis.get_tightbbox(cast(Any, figure.canvas).get_renderer())
-    left = 0.0 if ordinate is None else ordinate.width
-    if key + title > min(axes.bbox.width, figure.bbox.width - left):
-        if key <= left:
+    ordinate_width = 0.0 if ordinate is None else ordinate.width
+    if key + title > min(axes.bbox.width, figure.bbox.width - ordinate_width):
+        if key <= ordinate_width:
             legend = axes.legend(handles, names, bbox_to_anchor=(-0.05, 1.0), **above)
         else:
             tall = len(names) * _LINE_OF_KEY * size * figure.dpi / 72.0 >= _SHARE_OF_KEY * room

@@ -173,7 +173,7 @@ def draw_bars(axes: Axes, bars: Bars, factors: tuple[float, float], look: Look) 
     height, width = factors[1] * bars.height, bars.width if bars.names else factors[0] * np.asarray(bars.width)
     error = None if bars.error is None else factors[1] * bars.error
     usual: dict[str, Any] = {"color": colour, "alpha": bars.opacity, "label": name, "ecolor": look.ink}
-    names = [clean(translated(one)) for one in bars.names]
+    names = [clean(translated(text)) for text in bars.names]
     base = 0.0 if bars.base is None else factors[1] * bars.base
     if bars.across:
         axes.barh(x, height, width, base, xerr=error, **usual)
@@ -358,11 +358,11 @@ def draw_grid(
             axes.sharex(column[-1])
     drawn, named = [], set[str]()
     for line, row in zip(grid, rows, strict=True):
-        for place, (axes, plot) in enumerate(zip(line, row, strict=True)):
+        for index, (axes, plot) in enumerate(zip(line, row, strict=True)):
             names = {curve.name for curve in plot.curves if curve.name}
-            same = place > 0 and plot.y == row[place - 1].y
+            same = index > 0 and plot.y == row[index - 1].y
             if same:
-                axes.sharey(line[place - 1])
+                axes.sharey(line[index - 1])
             drawn.append(draw_plot(axes, plot, look, units=units, title=title, key=key and not names <= named))
             named |= names
             if same:
@@ -429,7 +429,7 @@ def draw_relief(
     *,
     units: Units = clinical,
     title: bool = True,
-    place: tuple[int, int, int] = (1, 1, 1),
+    cell: tuple[int, int, int] = (1, 1, 1),
     scale: bool = True,
 ) -> Axes3D:
     """Draw the surface of a plot in space.
@@ -440,10 +440,10 @@ def draw_relief(
         look: colours.
         units: units of the reader.
         title: whether the title stands above.
-        place: rows, columns and number of the part of the figure.
+        cell: rows, columns and number of the part of the figure.
         scale: whether the heights have numbers and a label.
     """
-    axes = cast(Axes3D, figure.add_subplot(*place, projection="3d"))
+    axes = cast(Axes3D, figure.add_subplot(*cell, projection="3d"))
     draw_plot(axes, plot, look, units=units, title=title)
     surface = plot.surface
     if not scale:
@@ -458,7 +458,7 @@ def draw_kernel(figure: Figure, plot: Plot) -> Axes:
     """Draw a surface as an image, and in space to its right; return the axes of the image."""
     axes = figure.add_subplot(1, 2, 1)
     draw_plot(axes, plot, title=False)
-    draw_relief(figure, plot, title=False, place=(1, 2, 2), scale=False)
+    draw_relief(figure, plot, title=False, cell=(1, 2, 2), scale=False)
     return axes
 
 

@@ -35,25 +35,25 @@ DISPLACEMENT = marked("Displacement")
 NO_DECAY = Message("readings.no_decay", "there is neither a free decay nor a second-order model")
 
 
-def step_plot(found: DeviceReadings) -> Plot:
+def step_plot(readings: DeviceReadings) -> Plot:
     """Return the first cycle of the step, recorded and simulated, with Ue, Uv, Uf and Ur as spans between levels."""
     unit, scale = display_unit("m")
     y = Axis(DISPLACEMENT, unit, zero=True)
-    course = found.course
+    course = readings.course
     if course is None:
-        return Plot("", TIME, y, missing=found.no_recorded)
+        return Plot("", TIME, y, missing=readings.no_recorded)
     parts: list[Curve] = []
     points: StepPoints | None = None
     shown = (-_BEFORE_S, (course.cycles[0].end - course.cycles[0].rise) / course.sample_rate_hz)
-    recorded = found.recorded
+    recorded = readings.recorded
     if recorded is not None:
         inside = (recorded.time_s >= shown[0]) & (recorded.time_s <= shown[1])
         x, values = thin(recorded.time_s[inside], scale * recorded.displacement_m[inside])
         parts.append(Curve(x, values, marked("recorded step"), "measured"))
         points = recorded.points
-    if found.model is not None:
-        parts.append(_simulated(found.model, shown, scale))
-        points = points or found.model.points
+    if readings.model is not None:
+        parts.append(_simulated(readings.model, shown, scale))
+        points = points or readings.model.points
     marks: tuple[Mark, ...] = ()
     if points is not None:
         spans, marks = _spans(points, course, scale, shown)
@@ -61,9 +61,9 @@ def step_plot(found: DeviceReadings) -> Plot:
     return Plot("", Axis(TIME.label, TIME.unit, limits=shown), y, tuple(parts), marks=marks)
 
 
-def recorded_step_plot(found: RecordedReadings) -> Plot:
+def recorded_step_plot(recorded: RecordedReadings) -> Plot:
     """Return the recorded step alone, as :func:`step_plot`."""
-    return step_plot(DeviceReadings(found, "", None, None, "", found.course, ()))
+    return step_plot(DeviceReadings(recorded, "", None, None, "", recorded.course, ()))
 
 
 def _simulated(model: ModelReadings, shown: tuple[float, float], scale: float) -> Curve:
@@ -91,16 +91,16 @@ def _spans(
         ("Uf", times["elastic"] + 0.65 * hold, 0.0, at["final"], 0.5),
         ("Ur", times["retracted"], at["retracted"], at["final"], 0.5),
     )
-    for name, x, low, high, place in wanted:
+    for name, x, low, high, fraction in wanted:
         if all(map(math.isfinite, (x, low, high))):
             spans.append(Curve(np.array([x, x]), np.array([low, high]), "", "muted", marker="D", width=0.8))
-            marks.append(Mark(x + 0.012 * width, name, low + place * (high - low)))
+            marks.append(Mark(x + 0.012 * width, name, low + fraction * (high - low)))
     levels = [at[name] for name in ("elastic", "final") if math.isfinite(at[name])]
     spans += [Curve(np.zeros(1), np.array([level]), "", "muted", "level", width=0.5) for level in levels]
     return spans, tuple(marks)
 
 
-def decay_plots(found: DeviceReadings) -> tuple[Plot, Plot]:
+def decay_plots(readings: DeviceReadings) -> tuple[Plot, Plot]:
     """Return the displacement and the acceleration of the model after an impulse of 1 mN s, with the peaks a1 and a3.
 
     A model without a second-order system has none; the recorded release is :func:`release_plot`.
@@ -108,9 +108,9 @@ def decay_plots(found: DeviceReadings) -> tuple[Plot, Plot]:
     unit, scale = display_unit("m")
     time = Axis(TIME.label, "ms")
     moved, pushed = Axis(DISPLACEMENT, unit, zero=True), Axis(marked("Acceleration"), "m/s²", zero=True)
-    local = None if found.model is None else found.model.local
+    local = None if readings.model is None else readings.model.local
     if local is None:
-        missing = found.no_model if found.model is None else NO_DECAY
+        missing = readings.no_model if readings.model is None else NO_DECAY
         return Plot("", time, moved, missing=missing), Plot("", time, pushed, missing=missing)
     t, x, a = impulse_decay(local)
     parts: list[Curve] = [Curve(1e3 * t, a, marked("identified model"), "model")]
@@ -165,7 +165,7 @@ def readings_table(rows: Sequence[tuple[Reading, Reading]]) -> Table:
     for pair in rows:
         definition = pair[0].definition
         unit, scale = display_unit(definition.si_unit)
-        values = [_cell(one, scale, reasons) for one in pair]
+        values = [_cell(reading, scale, reasons) for reading in pair]
         cells.append((definition.symbol, _(definition.meaning), *values, unit))
     return Table(
         _("Readings"),
@@ -188,20 +188,20 @@ def _note(reasons: dict[str, int]) -> str:
     return " ".join([_("± is one standard deviation."), *said])
 
 
-def recorded_group(found: RecordedReadings, key: str) -> tuple[Table, tuple[Picture, ...]]:
+def recorded_group(recorded: RecordedReadings, key: str) -> tuple[Table, tuple[Picture, ...]]:
     """Return the readings of a recorded step and their figures, for the report of a test."""
     reasons: dict[str, int] = {}
     rows = []
-    for one in (*found.step, *found.decay):
-        unit, scale = display_unit(one.definition.si_unit)
-        rows.append((one.definition.symbol, _(one.definition.meaning), _cell(one, scale, reasons), unit))
+    for reading in (*recorded.step, *recorded.decay):
+        unit, scale = display_unit(reading.definition.si_unit)
+        rows.append((reading.definition.symbol, _(reading.definition.meaning), _cell(reading, scale, reasons), unit))
     table = Table(
         _("Readings for comparison with other probes"),
         (_("Reading"), _("Meaning"), _("Recorded step"), _("Unit")),
         tuple(rows),
         " ".join([translated(NOT_COMPARABLE), _note(reasons)]),
     )
-    pictures = step_picture(f"{key}-step", recorded_step_plot(found)), release_picture(f"{key}-release", found)
+    pictures = step_picture(f"{key}-step", recorded_step_plot(recorded)), release_picture(f"{key}-release", recorded)
     return table, pictures
 
 
@@ -221,14 +221,14 @@ def step_picture(key: str, plot: Plot) -> Picture:
     )
 
 
-def decay_picture(found: DeviceReadings) -> Picture:
+def decay_picture(readings: DeviceReadings) -> Picture:
     """Return the figure of the decay of a model."""
     return picture(
         "decay",
         _("Free decay of the model"),
         _("Displacement and acceleration of the model after an impulse, with the acceleration peaks a1 and a3."),
         lambda: (
-            row_figure([_present(plot) for plot in decay_plots(found)], 3.0),
+            row_figure([_present(plot) for plot in decay_plots(readings)], 3.0),
             _(
                 "After an impulse of 1 mN·s. The decrement is the logarithm of a1/a3, the frequency the inverse of the "
                 "time between them."
@@ -237,11 +237,11 @@ def decay_picture(found: DeviceReadings) -> Picture:
     )
 
 
-def release_picture(key: str, found: RecordedReadings) -> Picture:
+def release_picture(key: str, recorded: RecordedReadings) -> Picture:
     """Return the figure of a recorded release."""
-    if found.release is None:
-        return absent(key, _("Recorded release"), found.no_release)
-    plot = release_plot(found.release)
+    if recorded.release is None:
+        return absent(key, _("Recorded release"), recorded.no_release)
+    plot = release_plot(recorded.release)
     return picture(
         key,
         _("Recorded release"),
@@ -264,24 +264,24 @@ def _present(plot: Plot) -> Plot:
     return plot
 
 
-def readings_page(session: Session, found: DeviceReadings) -> str:
+def readings_page(session: Session, readings: DeviceReadings) -> str:
     """Return the page of all readings of a session as HTML text."""
     facts = [
         (_("Subject"), session.subject.pseudonym or _("not recorded")),
         (_("Date"), readable_date(session.created)),
         (_("Instrument"), f"{session.instrument.model}, {session.instrument.serial_number}"),
     ]
-    if found.recorded is not None:
-        facts.append((_("Step test"), str(found.recorded.test.number)))
-    if found.analysis is not None:
-        facts.append((_("Model"), f"{found.analysis.model.report.engine}, {_('test')} {found.analysis.test}"))
-    if found.course is not None:
-        low, high = fixed(found.course.low_n, 2), fixed(found.course.high_n, 2)
+    if readings.recorded is not None:
+        facts.append((_("Step test"), str(readings.recorded.test.number)))
+    if readings.analysis is not None:
+        facts.append((_("Model"), f"{readings.analysis.model.report.engine}, {_('test')} {readings.analysis.test}"))
+    if readings.course is not None:
+        low, high = fixed(readings.course.low_n, 2), fixed(readings.course.high_n, 2)
         facts.append((_("Force"), _("{low} to {high} N").format(low=low, high=high)))
-        facts.append((_("Hold"), f"{fixed(found.course.hold_s, 2)} s"))
-    pictures = [step_picture("step", step_plot(found)), decay_picture(found)]
-    if found.recorded is not None:
-        pictures.append(release_picture("release", found.recorded))
+        facts.append((_("Hold"), f"{fixed(readings.course.hold_s, 2)} s"))
+    pictures = [step_picture("step", step_plot(readings)), decay_picture(readings)]
+    if readings.recorded is not None:
+        pictures.append(release_picture("release", readings.recorded))
     return template("readings.html.j2").render(
         title=_("Readings for comparison with other probes"),
         facts=facts,
@@ -289,7 +289,7 @@ def readings_page(session: Session, found: DeviceReadings) -> str:
         simulated=_(SIMULATED_LINE) if session.instrument.simulated else "",
         research_line=_(RESEARCH_LINE),
         software=SOFTWARE,
-        notes=[translated(note) for note in found.notes],
-        table=readings_table(found.rows()),
-        group=FigureGroup("figures", _("Figures"), tuple(one.block for one in pictures)),
+        notes=[translated(note) for note in readings.notes],
+        table=readings_table(readings.rows()),
+        group=FigureGroup("figures", _("Figures"), tuple(drawn.block for drawn in pictures)),
     )

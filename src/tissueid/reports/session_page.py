@@ -194,22 +194,24 @@ def _readings(material: Material, key: str) -> tuple[Table | None, tuple[FigureG
     from tissueid.reports.readings_page import recorded_group
 
     try:
-        found = recorded_readings(material.test)
+        recorded = recorded_readings(material.test)
     except UnusableInputError:
         return None, ()
-    table, pictures = recorded_group(found, f"{key}-readings")
+    table, pictures = recorded_group(recorded, f"{key}-readings")
     return table, (_group(material, f"{key}-readings", table.caption, *pictures),)
 
 
 def _short_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
     groups: tuple[Group, ...] = ("record", "linear", "nonlinear")
-    drawn = [one for group in groups for one in _of_engines(material, key, group, short=True)]
+    drawn = [picture for group in groups for picture in _of_engines(material, key, group, short=True)]
     recorded = signals_picture(material.test, material.held_out_s, key)
     return (_group(material, f"{key}-figures", "Figures", recorded, *drawn, _prediction(material, key)),)
 
 
 def _group(material: Material, key: str, heading: str, *pictures: Picture) -> FigureGroup:
-    return FigureGroup(key, heading, tuple(one.block for one in captions_for_configuration(material.test, pictures)))
+    return FigureGroup(
+        key, heading, tuple(picture.block for picture in captions_for_configuration(material.test, pictures))
+    )
 
 
 def _of_engines(material: Material, key: str, group: Group, *, short: bool = False) -> Iterator[Picture]:
@@ -219,22 +221,26 @@ def _of_engines(material: Material, key: str, group: Group, *, short: bool = Fal
     for subject in material.subjects:
         suffix = "" if subject.name in standard else f" ({subject.label})"
         places += [
-            (one.place, one.picture(subject, key, suffix=suffix))
-            for one in figures_of(subject)
-            if one.group == group and (one.short or not short) and (one.standard or subject.name not in standard)
+            (figure.order, figure.picture(subject, key, suffix=suffix))
+            for figure in figures_of(subject)
+            if figure.group == group
+            and (figure.short or not short)
+            and (figure.standard or subject.name not in standard)
         ]
-    for one in all_figures():
-        there = any(isinstance(a.model, one.model) for a in material.analyses.values())
-        if one.group == group and one.standard and not there and (one.short or not short):
-            why = material.refused.get(one.standard)
-            engine = Verbatim(engine_label(one.standard))
+    for figure in all_figures():
+        there = any(isinstance(a.model, figure.model) for a in material.analyses.values())
+        if figure.group == group and figure.standard and not there and (figure.short or not short):
+            why = material.refused.get(figure.standard)
+            engine = Verbatim(engine_label(figure.standard))
             reason = Message("report.engine_not_run", "the {engine} engine was not run on this test", engine=engine)
             if why:
                 reason = Message(
                     "report.engine_failed", "the {engine} engine could not use it: {why}", engine=engine, why=why
                 )
-            places.append((one.place, absent(f"{key}-{one.key}", _(one.heading), translated(reason), wide=one.wide)))
-    for _place, drawn in sorted(places, key=lambda item: item[0]):
+            places.append(
+                (figure.order, absent(f"{key}-{figure.key}", _(figure.heading), translated(reason), wide=figure.wide))
+            )
+    for _order, drawn in sorted(places, key=lambda item: item[0]):
         yield drawn
 
 
@@ -284,8 +290,8 @@ def report_html(
     if not tests:
         raise UnusableInputError(NOTHING_ANALYSED)
     pages = [
-        test_page(session, number, engines, full=place == 0, refused=refused or {})
-        for place, (number, engines) in enumerate(tests)
+        test_page(session, number, engines, full=index == 0, refused=refused or {})
+        for index, (number, engines) in enumerate(tests)
     ]
     number, engines = tests[0]
     main = session.test(number)

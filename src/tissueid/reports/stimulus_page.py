@@ -83,9 +83,9 @@ def run_from_report(report: Any, force: Array, depth: Array, sample_rate_hz: flo
     return FeedbackRun(label, force, depth, sample_rate_hz, edges, shares, profile, block_s, memory_s)
 
 
-def _profile(found: Mapping[str, Any] | None, edges: Array) -> DepthProfile | None:
+def _profile(identified: Mapping[str, Any] | None, edges: Array) -> DepthProfile | None:
     """Return mass, damping and stiffness by depth level; None where nothing was identified."""
-    levels = [] if found is None else found["levels"]
+    levels = [] if identified is None else identified["levels"]
     if not levels:
         return None
     columns = {name: np.array([float(level[name]) for level in levels]) for name in levels[0]}
@@ -191,8 +191,8 @@ def stimulus_panels(design: StimulusDesign) -> Iterator[Panel]:
             ).format(spacing=number(multisine.resolution_hz)),
             lambda figure: draw_row(figure, [line_plot(multisine, design.stimulus)]),
         )
-    found, target = design.appraisal, design.target_power
-    edges = [(hz, label) for hz, label in ((found.power_95_hz, "95 %"), (found.power_99_hz, "99 %")) if hz is not None]
+    check, target = design.appraisal, design.target_power
+    edges = [(hz, label) for hz, label in ((check.power_95_hz, "95 %"), (check.power_99_hz, "99 %")) if hz is not None]
     yield Panel(
         "power",
         _("Power spectral density"),
@@ -329,20 +329,20 @@ def output_suffix(path: Path) -> str:
     return form
 
 
-def judged(found: StimulusCheck) -> tuple[str, Literal["good", "check", "poor"]]:
+def judged(check: StimulusCheck) -> tuple[str, Literal["good", "check", "poor"]]:
     """Return the headline of a stimulus check and its level."""
-    if not found.playable:
+    if not check.playable:
         return marked("The stimulus cannot be played"), "poor"
-    if any(concern.severity == "caution" for concern in found.concerns):
+    if any(concern.severity == "caution" for concern in check.concerns):
         return marked("The stimulus can be played: read the cautions first"), "check"
     return marked("The stimulus can be played"), "good"
 
 
 def stimulus_report(design: StimulusDesign) -> StimulusReport:
     """Return the report of a stimulus that is designed before its test."""
-    stimulus, found, kind = design.stimulus, design.appraisal, design.specification
-    headline, level = judged(found)
-    force, voltage = (found.force_min_n, found.force_max_n), (found.voltage_min_v, found.voltage_max_v)
+    stimulus, check, kind = design.stimulus, design.appraisal, design.specification
+    headline, level = judged(check)
+    force, voltage = (check.force_min_n, check.force_max_n), (check.voltage_min_v, check.voltage_max_v)
     low, high = force if stimulus.unit == "N" else voltage
     return StimulusReport(
         title=_("Stimulus {kind}, {low} to {high} {unit}, {seconds} s").format(
@@ -362,8 +362,8 @@ def stimulus_report(design: StimulusDesign) -> StimulusReport:
         ),
         headline=_(headline),
         level=level,
-        concerns=tuple(translated(concern.words) for concern in found.concerns),
-        summary=tuple(translated(line) for line in found.summary()),
+        concerns=tuple(translated(concern.words) for concern in check.concerns),
+        summary=tuple(translated(line) for line in check.summary()),
         tables=(
             Table(_("Properties"), (), translated_rows(design.rows())),
             Table(_("Options"), (), option_rows(kind.describe())),

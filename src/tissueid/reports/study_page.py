@@ -123,34 +123,38 @@ _GROUPS: Mapping[By, str] = {
 _ORDERS = {KERNEL1: marked("first-order kernel"), KERNEL2: marked("second-order kernel")}
 
 
-def curve_figures(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
+def curve_figures(statistics: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
     """Yield key, heading and plots of each group of figures of curves, of kernels and of principal components."""
     for kind, heading in _HEADINGS.items():
-        for by, words in _GROUPS.items():
+        for by, heading_template in _GROUPS.items():
             if kind in _CURVES:
-                plots = _lines(found.curves, by, _CURVES[kind])
+                plots = _lines(statistics.curves, by, _CURVES[kind])
             else:
-                plots = _panels(chosen(found.curves, by, _PANELS[kind]))
+                plots = _panels(chosen(statistics.curves, by, _PANELS[kind]))
             if plots:
-                yield f"{kind}-{by}", _(words).format(figure=_(heading)), plots
-    if plots := _lines(found.curves, "change", _CURVES["depth"]):
+                yield f"{kind}-{by}", _(heading_template).format(figure=_(heading)), plots
+    if plots := _lines(statistics.curves, "change", _CURVES["depth"]):
         yield "change-depth", _("Change against depth: conditions"), plots
-    for one in found.components:
-        order = _(_ORDERS[one.curve])
-        number, shown = ("1", [component_curves(one)]) if one.curve == KERNEL1 else ("2", component_panels(one))
+    for components in statistics.components:
+        order = _(_ORDERS[components.curve])
+        number, shown = (
+            ("1", [component_curves(components)])
+            if components.curve == KERNEL1
+            else ("2", component_panels(components))
+        )
         yield f"components{number}-all", _("Principal components, {kernel}").format(kernel=order), _drawn(shown)
-        if len(one.names) > 1:
-            plots = _drawn([scores_plot(one)])
+        if len(components.names) > 1:
+            plots = _drawn([scores_plot(components)])
             yield f"scores-{number}", _("Scores of the components, {kernel}").format(kernel=order), plots
 
 
 def _lines(curves: Sequence[GroupCurve], by: By, names: Sequence[str]) -> Plots:
     own = [chosen(curves, by, name) for name in names]
-    groups = list(dict.fromkeys(one.group for some in own for one in some))
+    groups = list(dict.fromkeys(curve.group for some in own for curve in some))
     plots: dict[str, Callable[[], Plot]] = {}
     for some in own:
         for way in directions(some):
-            shown = [one for one in some if one.direction == way]
+            shown = [curve for curve in some if curve.direction == way]
             plots[Verbatim(translated(title_of(shown[0], groups)))] = partial(curve_plot, shown, groups)
     return plots
 
@@ -159,7 +163,7 @@ def _panels(curves: Sequence[GroupCurve]) -> Plots:
     if not curves:
         return {}
     limit = shared_limit(curves)
-    return {Verbatim(translated(name_of(one))): partial(kernel_panel, one, limit) for one in curves[:MOST_PANELS]}
+    return {Verbatim(translated(name_of(curve))): partial(kernel_panel, curve, limit) for curve in curves[:MOST_PANELS]}
 
 
 def _drawn(plots: Iterable[Plot]) -> Plots:
@@ -208,68 +212,72 @@ MOST_COMPARED = 10
 """Largest number of parameters that are drawn of conditions."""
 
 
-def study_html(name: str, engine: str, found: StudyStatistics, failures: Mapping[str, str]) -> str:
+def study_html(name: str, engine: str, statistics: StudyStatistics, failures: Mapping[str, str]) -> str:
     """Return the page as HTML text."""
     return template("study.html.j2").render(
         title=_("Study {name}").format(name=name),
         research_line=_(RESEARCH_LINE),
-        simulated_line=simulated_line(found),
+        simulated_line=simulated_line(statistics),
         software=SOFTWARE,
-        facts=study_facts(found, engine),
-        remarks=[translated(remark) for remark in found.remarks],
+        facts=study_facts(statistics, engine),
+        remarks=[translated(remark) for remark in statistics.remarks],
         failures=[(file, translated(reason)) for file, reason in failures.items()],
-        groups=[_group(*item) for item in study_plots(found)],
-        tables=tables_of(found),
+        groups=[_group(*item) for item in study_plots(statistics)],
+        tables=tables_of(statistics),
         left_out=_("Left out"),
     )
 
 
-def study_facts(found: StudyStatistics, engine: str) -> tuple[tuple[str, str], ...]:
+def study_facts(statistics: StudyStatistics, engine: str) -> tuple[tuple[str, str], ...]:
     """Return names and values for the head of a report."""
-    samples = sorted(map(str, found.samples["material"].unique())) if len(found.samples) else []
+    samples = sorted(map(str, statistics.samples["material"].unique())) if len(statistics.samples) else []
     return (
-        (_("Subjects"), str(found.used["subject"].nunique())),
-        (_("Sites"), "; ".join(sorted(map(str, found.used["site"].unique()))) or MISSING),
+        (_("Subjects"), str(statistics.used["subject"].nunique())),
+        (_("Sites"), "; ".join(sorted(map(str, statistics.used["site"].unique()))) or MISSING),
         *([(_("Materials"), "; ".join(samples))] if samples else []),
-        (_("Tests that count"), str(len(found.used) + len(found.samples))),
-        *([(_("Recorded"), dates)] if (dates := _dates(found)) else []),
+        (_("Tests that count"), str(len(statistics.used) + len(statistics.samples))),
+        *([(_("Recorded"), dates)] if (dates := _dates(statistics)) else []),
         (_("Engine"), _(engine_label(engine))),
     )
 
 
-def _dates(found: StudyStatistics) -> str:
-    days = sorted(str(one)[:10] for table in (found.used, found.samples) if len(table) for one in table["created"])
+def _dates(statistics: StudyStatistics) -> str:
+    days = sorted(
+        str(date)[:10] for table in (statistics.used, statistics.samples) if len(table) for date in table["created"]
+    )
     if not days or days[0] == days[-1]:
         return "".join(days[:1])
     return _("{first} to {last}").format(first=days[0], last=days[-1])
 
 
-def simulated_line(found: StudyStatistics) -> str:
+def simulated_line(statistics: StudyStatistics) -> str:
     """Return the remark that tests are simulated, with their number if others are not; "" if none is."""
-    count, total = found.simulated_tests, len(found.used) + len(found.samples)
+    count, total = statistics.simulated_tests, len(statistics.used) + len(statistics.samples)
     if not count or count == total:
         return _(SIMULATED_LINE) if count else ""
     some = _("{count} of {total} tests are simulated.").format(count=count, total=total)
     return f"{_(SIMULATED_LINE)} {some}"
 
 
-def tables_of(found: StudyStatistics) -> list[Table]:
+def tables_of(statistics: StudyStatistics) -> list[Table]:
     """Return all tables of a report: what does not count, the thesis and the study side by side, the statistics."""
-    tables = [left_out_table(found.left_out)] if len(found.left_out) else []
-    return tables + [one for key, rows in {**found.thesis, **found.tables}.items() for one in study_tables(key, rows)]
+    tables = [left_out_table(statistics.left_out)] if len(statistics.left_out) else []
+    return tables + [
+        table for key, rows in {**statistics.thesis, **statistics.tables}.items() for table in study_tables(key, rows)
+    ]
 
 
-def study_plots(found: StudyStatistics) -> list[tuple[str, str, Plots]]:
+def study_plots(statistics: StudyStatistics) -> list[tuple[str, str, Plots]]:
     """Return key, heading and plots by parameter of each group of figures that has plots."""
-    return [group for group in _figure_groups(found) if group[2]]
+    return [group for group in _figure_groups(statistics) if group[2]]
 
 
-def _figure_groups(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
-    names = found.parameters[:MOST_DRAWN]
-    tables = found.tables
-    if len(found.used):
-        plain = found.used[found.used["condition"] == _reference(found)]
-        means = found.means[found.means["condition"] == _reference(found)]
+def _figure_groups(statistics: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
+    names = statistics.parameters[:MOST_DRAWN]
+    tables = statistics.tables
+    if len(statistics.used):
+        plain = statistics.used[statistics.used["condition"] == _reference(statistics)]
+        means = statistics.means[statistics.means["condition"] == _reference(statistics)]
         yield "subjects", _("Subjects"), {name: partial(subjects_plot, plain, name) for name in names}
         yield "sites", _("Sites"), {name: partial(sites_plot, means, name) for name in names}
         if "variation" in tables:
@@ -286,23 +294,23 @@ def _figure_groups(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
             plots = {name: partial(regression_plot, means, regressor, name, rows) for name in names}
             yield f"on-{regressor}", title, plots
     else:
-        means = found.means
+        means = statistics.means
     if "materials" in tables:
         shown = dict.fromkeys(tables["materials"]["parameter"])
-        plots = {name: partial(materials_plot, found.samples, means, name) for name in list(shown)[:MOST_DRAWN]}
+        plots = {name: partial(materials_plot, statistics.samples, means, name) for name in list(shown)[:MOST_DRAWN]}
         yield "materials", _(HEADINGS["materials"]), plots
-    if {"c1_m", "c2_per_n"} <= set(found.parameters):
-        yield "curve", _("Static nonlinearity"), {"c": partial(nonlinearity_plot, means, found.samples)}
+    if {"c1_m", "c2_per_n"} <= set(statistics.parameters):
+        yield "curve", _("Static nonlinearity"), {"c": partial(nonlinearity_plot, means, statistics.samples)}
     if "efficacy" in tables:
         before = str(tables["efficacy"]["before"].iloc[0])
         shown = dict.fromkeys(tables["efficacy"]["parameter"])
-        plots = {name: partial(conditions_plot, found.means, before, name) for name in list(shown)[:MOST_COMPARED]}
+        plots = {name: partial(conditions_plot, statistics.means, before, name) for name in list(shown)[:MOST_COMPARED]}
         yield "conditions", _(HEADINGS["efficacy"]), plots
-    yield from curve_figures(found)
+    yield from curve_figures(statistics)
 
 
-def _reference(found: StudyStatistics) -> str:
-    conditions = list(found.used["condition"].unique())
+def _reference(statistics: StudyStatistics) -> str:
+    conditions = list(statistics.used["condition"].unique())
     return "" if "" in conditions else str(conditions[0])
 
 
@@ -314,8 +322,8 @@ def _group(key: str, heading: str, plots: Plots) -> FigureGroup:
     made = {name: make() for name, make in plots.items()}
     wide = is_wide(made)
     panels = [
-        _panel(f"{key}-{place if isinstance(name, Verbatim) else name}", name, plot, caption_of(key), wide=wide)
-        for place, (name, plot) in enumerate(made.items())
+        _panel(f"{key}-{index if isinstance(name, Verbatim) else name}", name, plot, caption_of(key), wide=wide)
+        for index, (name, plot) in enumerate(made.items())
     ]
     return FigureGroup(f"g-{key}", heading, tuple(panel.picture().block for panel in panels))
 
@@ -331,9 +339,9 @@ def is_wide(plots: Mapping[str, Plot]) -> bool:
         [translated(text) for _place, text in plot.x.ticks] for plot in plots.values() if plot.x.limits is not None
     ]
     many = any(
-        len(one) > _MOST_HALF
-        or len(one) * max((len(line) + 1 for text in one for line in text.split("\n")), default=0) > _LETTERS_HALF
-        for one in names
+        len(texts) > _MOST_HALF
+        or len(texts) * max((len(line) + 1 for text in texts for line in text.split("\n")), default=0) > _LETTERS_HALF
+        for texts in names
     )
     many |= any(sum(bool(curve.name) for curve in plot.curves) > _MOST_NAMES for plot in plots.values())
     return many or bool(set(OF_SEVERAL) & set(plots))
@@ -376,38 +384,40 @@ _MEASURED = 8
 """Number of the longest cells of a column that are measured."""
 
 
-def write_study_pdf(path: Path, name: str, engine: str, found: StudyStatistics, failures: Mapping[str, str]) -> None:
+def write_study_pdf(
+    path: Path, name: str, engine: str, statistics: StudyStatistics, failures: Mapping[str, str]
+) -> None:
     """Write the report of a study so that ``path`` is whole or untouched.
 
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
     title = _("Study {name}").format(name=name)
-    write_pages(path, title, partial(_draw_pages, title=title, engine=engine, found=found, failures=failures))
+    write_pages(path, title, partial(_draw_pages, title=title, engine=engine, statistics=statistics, failures=failures))
 
 
 def _draw_pages(
-    paper: PageWriter, title: str, engine: str, found: StudyStatistics, failures: Mapping[str, str]
+    paper: PageWriter, title: str, engine: str, statistics: StudyStatistics, failures: Mapping[str, str]
 ) -> None:
     paper.line(title, size=17.0, bold=True)
-    for label, value in study_facts(found, engine):
-        for place, words in enumerate(textwrap.wrap(clean(value), _ACROSS - 20)):
-            paper.line(label if not place else "", colour=MUTED)
-            paper.text(2.0, words)
-    if simulated := simulated_line(found):
+    for label, value in study_facts(statistics, engine):
+        for index, line in enumerate(textwrap.wrap(clean(value), _ACROSS - 20)):
+            paper.line(label if not index else "", colour=MUTED)
+            paper.text(2.0, line)
+    if simulated := simulated_line(statistics):
         paper.line(simulated, bold=True)
     paper.draw_rule()
-    notes = [translated(remark) for remark in found.remarks]
+    notes = [translated(remark) for remark in statistics.remarks]
     notes += [f"{file}: {translated(reason)}" for file, reason in failures.items()]
     if notes:
         paper.line(_("Left out"), size=11.0, bold=True)
         for note in notes:
             paper.wrapped(note, size=9.0, across=_ACROSS)
-    for key, heading, plots in study_plots(found):
+    for key, heading, plots in study_plots(statistics):
         _figures(paper, key, heading, plots)
-    for table in tables_of(found):
+    for table in tables_of(statistics):
         broken = _with_broken_heads(table)
-        size = next((one for one in _TABLE_SIZES if len(_parts(broken, one)) == 1), _TABLE_SIZES[-1])
+        size = next((candidate for candidate in _TABLE_SIZES if len(_parts(broken, candidate)) == 1), _TABLE_SIZES[-1])
         for part, widths in _parts(broken, size):
             paper.table(part.caption, part.head, part.rows, size=size, widths=widths)
             paper.wrapped(part.note, across=_ACROSS_SMALL)
@@ -449,8 +459,8 @@ def _key_of(plot: Plot) -> tuple[list[Artist], list[str]]:
 def _with_broken_heads(table: Table) -> Table:
     """Return a table whose heads are broken into lines that are no longer than the cells below them."""
     heads = []
-    for place, head in enumerate(table.head):
-        most = max(_SHORTEST_HEAD, *(len(row[place]) for row in table.rows), *map(len, head.split()))
+    for column, head in enumerate(table.head):
+        most = max(_SHORTEST_HEAD, *(len(row[column]) for row in table.rows), *map(len, head.split()))
         heads.append("\n".join(textwrap.wrap(head, most)))
     return replace(table, head=tuple(heads))
 
@@ -460,7 +470,7 @@ def _parts(table: Table, size: float) -> list[tuple[Table, list[float]]]:
 
     Each part has the columns that say what the row is about.
     """
-    widths = [_width(head, [row[place] for row in table.rows], size) for place, head in enumerate(table.head)]
+    widths = [_width(head, [row[column] for row in table.rows], size) for column, head in enumerate(table.head)]
     about = {_(COLUMNS[name]) for name in ABOUT}
     names = sum(1 for head in table.head if head.replace("\n", " ") in about)
     rest = list(range(names, len(widths)))
@@ -468,16 +478,16 @@ def _parts(table: Table, size: float) -> list[tuple[Table, list[float]]]:
     while rest:
         room = TEXT_WIDTH + _COLUMN_GAP - sum(widths[:names])
         taken = [rest.pop(0)]
-        while rest and sum(widths[place] for place in taken) + widths[rest[0]] <= room:
+        while rest and sum(widths[column] for column in taken) + widths[rest[0]] <= room:
             taken.append(rest.pop(0))
         places = [*range(names), *taken]
-        rows = tuple(tuple(row[place] for place in places) for row in table.rows)
-        before = sum(widths[place] for place in places[:-1])
+        rows = tuple(tuple(row[column] for column in places) for row in table.rows)
+        before = sum(widths[column] for column in places[:-1])
         if before + widths[places[-1]] > TEXT_WIDTH + _COLUMN_GAP:
             rows = _wrapped_rows(rows, int(max(TEXT_WIDTH - before, 1.0) * _LETTERS_PER_INCH * 7.0 / size))
-        head = tuple(table.head[place] for place in places)
+        head = tuple(table.head[column] for column in places)
         part = Table(table.caption, head, rows, "" if rest else table.note)
-        parts.append((part, [widths[place] for place in places]))
+        parts.append((part, [widths[column] for column in places]))
     return parts
 
 
@@ -485,13 +495,13 @@ def _wrapped_rows(rows: Sequence[Sequence[str]], most: int) -> tuple[tuple[str, 
     """Return rows whose last cells are continued in further rows after ``most`` letters."""
     wrapped: list[tuple[str, ...]] = []
     for *first, last in rows:
-        for place, words in enumerate(textwrap.wrap(last, most) or [""]):
-            wrapped.append((*(first if not place else [""] * len(first)), words))
+        for index, line in enumerate(textwrap.wrap(last, most) or [""]):
+            wrapped.append((*(first if not index else [""] * len(first)), line))
     return tuple(wrapped)
 
 
 def _width(head: str, cells: Sequence[str], size: float) -> float:
     longest = sorted(set(cells), key=len)[-_MEASURED:]
-    widths = [text_width(clean(words), size) for words in longest]
+    widths = [text_width(clean(cell), size) for cell in longest]
     heads = [text_width(line, 8.0 * size / 9.0) for line in head.split("\n")]
     return max(*widths, *heads, 0.0) + _COLUMN_GAP

@@ -233,8 +233,8 @@ def study_tables(key: str, rows: pd.DataFrame) -> list[Table]:
     if len(factors) < 2:
         return [study_table(key, rows)]
     return [
-        study_table(key, rows[rows["factor"] == one], f"{_(HEADINGS[key])}: {_(label_and_unit(str(one))[0])}")
-        for one in factors
+        study_table(key, rows[rows["factor"] == factor], f"{_(HEADINGS[key])}: {_(label_and_unit(str(factor))[0])}")
+        for factor in factors
     ]
 
 

@@ -256,12 +256,12 @@ def to_svg(figure: Figure, key: str, alt: str) -> str:
         _write(figure, buffer, "svg", 144.0)
     text = buffer.getvalue()
     text = _CLUTTER.sub("", text[text.index("<svg") :])
-    text = _COORDINATES.sub(lambda found: _LONG_NUMBER.sub(r"\1", found.group()), text)
-    text = _FONT.sub(lambda found: f"font-size: {found.group(1).strip()}" if found.group(1) else "", text)
+    text = _COORDINATES.sub(lambda match: _LONG_NUMBER.sub(r"\1", match.group()), text)
+    text = _FONT.sub(lambda match: f"font-size: {match.group(1).strip()}" if match.group(1) else "", text)
     for colour, variable in _CSS_COLOURS.items():
         text = text.replace(colour, variable)
     used = set(_REFERENCE.findall(text))
-    text = _IDENTITY.sub(lambda found: f' id="{key}-{found.group(1)}"' if found.group(1) in used else "", text)
-    text = _REFERENCE.sub(lambda found: found.group().replace("#", f"#{key}-"), text)
+    text = _IDENTITY.sub(lambda match: f' id="{key}-{match.group(1)}"' if match.group(1) in used else "", text)
+    text = _REFERENCE.sub(lambda match: match.group().replace("#", f"#{key}-"), text)
     label = f'role="img" aria-label="{html.escape(clean(alt))}"'
-    return _OPENING.sub(lambda found: f'<svg viewBox="{found.group(1)}" {label}>', text, count=1).strip()
+    return _OPENING.sub(lambda match: f'<svg viewBox="{match.group(1)}" {label}>', text, count=1).strip()

@@ -134,18 +134,18 @@ def _shared_fit(analyses: Mapping[str, Analysis]) -> str:
     """Say which engines show the mass, damping and stiffness of one fit; "" if no two do."""
     engines: dict[tuple[float, float], list[str]] = {}
     for name, analysis in analyses.items():
-        found = analysis.model.report.reportable_parameters
-        if {"mass_kg", "stiffness_n_per_m"} <= found.keys():
-            key = found["mass_kg"].value, found["stiffness_n_per_m"].value
+        parameters = analysis.model.report.reportable_parameters
+        if {"mass_kg", "stiffness_n_per_m"} <= parameters.keys():
+            key = parameters["mass_kg"].value, parameters["stiffness_n_per_m"].value
             engines.setdefault(key, []).append(engine_label(name))
     alike = [_(_SHARED_FIT).format(engines=", ".join(names)) for names in engines.values() if len(names) > 1]
     return " ".join(alike)
 
 
-def _parameter_text(found: Estimate, scale: float) -> str:
+def _parameter_text(parameter: Estimate, scale: float) -> str:
     """Return a parameter with its standard deviation, marked as uncertain where it does not differ from zero."""
-    text = plus_minus(found, scale)
-    uncertain = found.std is not None and abs(found.value) <= UNCERTAIN_DEVIATIONS * found.std
+    text = plus_minus(parameter, scale)
+    uncertain = parameter.std is not None and abs(parameter.value) <= UNCERTAIN_DEVIATIONS * parameter.std
     return _("{value}, uncertain").format(value=text) if uncertain else text
 
 

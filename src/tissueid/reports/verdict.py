@@ -95,27 +95,27 @@ def judge(test: Test, analyses: Mapping[str, Analysis]) -> Verdict:
 
 def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     """Remarks on a test, each with the best verdict that it leaves possible."""
-    found: list[_Doubt] = []
+    doubts: list[_Doubt] = []
     if test.status in ENDED_EARLY:
-        found.append(("poor", _how_it_ended(test)))
+        doubts.append(("poor", _how_it_ended(test)))
     lost = int(lost_samples(test).sum())
     if lost > LOST_SHARE * test.samples:
         values = {"lost": lost, "samples": test.samples, "percent": 100 * lost / test.samples}
         message = Message(
             "verdict.samples_lost", "{lost} of {samples} samples ({percent:.1f} %) were not received.", **values
         )
-        found.append(("check", message))
-    found += _quality_doubts(test)
-    found += _poorly_explained(analyses)
-    found += _uncertain(analyses)
+        doubts.append(("check", message))
+    doubts += _quality_doubts(test)
+    doubts += _poorly_explained(analyses)
+    doubts += _uncertain(analyses)
     leading = linear_engine(analyses) or next(iter(analyses), None)
     if leading is not None:
         label = label_of(leading)
-        found += [
+        doubts += [
             ("check", Message("verdict.engine_warning", "{engine}: {warning}.", engine=label, warning=warning))
             for warning in analyses[leading].model.report.warnings
         ]
-    return found
+    return doubts
 
 
 ENDED_EARLY = {
@@ -176,23 +176,23 @@ def _poorly_explained(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
         return [("poor", Message("verdict.not_validated", "No model could be validated on held-out data."))]
     name = max(scores, key=lambda engine: scores[engine])
     unseen, seen = scores[name], analyses[name].model.report.vaf_percent
-    found: list[_Doubt] = []
+    doubts: list[_Doubt] = []
     if unseen <= 0.0:
-        found.append(("poor", Message("verdict.predicts_nothing", "No model predicts the held-out motion.")))
+        doubts.append(("poor", Message("verdict.predicts_nothing", "No model predicts the held-out motion.")))
     elif unseen < POOR_VAF_PERCENT:
         message = Message(
             "verdict.vaf_poor",
             "No model accounts for more than {percent:.0f} % of the held-out motion.",
             percent=unseen,
         )
-        found.append(("poor", message))
+        doubts.append(("poor", message))
     elif unseen < EXPECTED_VAF_PERCENT:
         message = Message(
             "verdict.vaf_low",
             "The best model accounts for {percent:.0f} % of held-out motion; skin usually gives 70 to 95 %.",
             percent=unseen,
         )
-        found.append(("check", message))
+        doubts.append(("check", message))
     both = Message(
         "verdict.both_scores",
         "{engine}: {seen:.0f} % of the fitted motion, {unseen:.0f} % of the held-out motion",
@@ -206,15 +206,15 @@ def _poorly_explained(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
             "The fitted part is harder to explain than the held-out part, which drift can cause ({scores}).",
             scores=both,
         )
-        found.append(("check", message))
+        doubts.append(("check", message))
     if seen - unseen > UNSTEADY_POINTS:
         message = Message(
             "verdict.worse_held_out",
             "The models fit the held-out motion worse than the fitted motion ({scores}).",
             scores=both,
         )
-        found.append(("check", message))
-    return found
+        doubts.append(("check", message))
+    return doubts
 
 
 def _uncertain(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
@@ -222,10 +222,10 @@ def _uncertain(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     if name is None:
         return []
     wide = []
-    for parameter, words in _UNCERTAIN.items():
-        found = analyses[name].model.report.parameters.get(parameter)
-        if found is not None and (found.std is None or found.std > LARGE_UNCERTAINTY * abs(found.value)):
-            wide.append(words)
+    for parameter, label in _UNCERTAIN.items():
+        fitted = analyses[name].model.report.parameters.get(parameter)
+        if fitted is not None and (fitted.std is None or fitted.std > LARGE_UNCERTAINTY * abs(fitted.value)):
+            wide.append(label)
     if not wide:
         return []
     values = {"percent": 100 * LARGE_UNCERTAINTY, "names": Listing(tuple(wide))}

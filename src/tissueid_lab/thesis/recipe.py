@@ -184,8 +184,8 @@ def write_reproduction(path: Path, made: Sequence[ReproducedFigure]) -> None:
         for drawn in () if reproduced.report is None else reproduced.report.pictures:
             key = f"{number.replace(' ', '-').replace('.', '-').lower()}-{drawn.key}"
             blocks.append(replace(drawn, key=key, heading=f"{number}. {drawn.heading}").block)
-        if isinstance(reproduced.report, OverlayReport) and not reproduced.report.found.swept:
-            table = overlay_scores(reproduced.report.found)
+        if isinstance(reproduced.report, OverlayReport) and not reproduced.report.overlay.swept:
+            table = overlay_scores(reproduced.report.overlay)
             scores.append(replace(table, caption=f"{number}. {table.caption}"))
     write_text_atomically(
         path,

@@ -92,7 +92,7 @@ def _draw_connections(drawn: Figure, every: list[Axes], source: str, drain: str)
     marked("Structure: a curve, then linear dynamics"),
     marked("Block diagram from left to right: the static curve of the input, and the impulse response after it."),
     group="nonlinear",
-    place=12,
+    order=12,
 )
 def hammerstein(subject: FigureSubject[HammersteinModel]) -> Drawn:
     """Draw the two blocks of a Hammerstein cascade."""
@@ -115,7 +115,7 @@ def hammerstein(subject: FigureSubject[HammersteinModel]) -> Drawn:
     marked("Structure: linear dynamics, then a curve"),
     marked("Block diagram from left to right: the impulse response, and the static curve after it."),
     group="nonlinear",
-    place=15,
+    order=15,
 )
 def wiener(subject: FigureSubject[WienerModel]) -> Drawn:
     """Draw the two blocks of a Wiener cascade (Chen 2010, Fig. 3.6)."""
@@ -133,7 +133,7 @@ def wiener(subject: FigureSubject[WienerModel]) -> Drawn:
     marked("Structure: the blocks that the record supports"),
     marked("Block diagram from left to right: linear and static blocks of the chosen structure, each with its curve."),
     group="nonlinear",
-    place=14,
+    order=14,
 )
 def cascade(subject: FigureSubject[CascadeModel]) -> Drawn:
     """Draw the blocks of the chosen structure."""
@@ -154,7 +154,7 @@ def cascade(subject: FigureSubject[CascadeModel]) -> Drawn:
     marked("Convergence of the Hammerstein iteration"),
     marked("Variance accounted for by pass, and the parameters of the linear stage relative to their last value."),
     group="nonlinear",
-    place=22,
+    order=22,
 )
 def iterations(subject: FigureSubject[HammersteinModel]) -> Drawn:
     """Draw VAF and parameters of the linear stage by pass (as Chen 2010, Fig. 3.9).
@@ -178,7 +178,7 @@ def iterations(subject: FigureSubject[HammersteinModel]) -> Drawn:
     marked("Static nonlinearity and stiffness"),
     marked("Left: measured output against predicted linear output with a fitted curve. Right: stiffness by depth."),
     group="nonlinear",
-    place=10,
+    order=10,
     standard=Wiener.name,
     short=True,
 )
@@ -195,7 +195,7 @@ def _nonlinearity(subject: FigureSubject[WienerModel]) -> Drawn:
     marked("How the Wiener iteration settled"),
     marked("Left: variance accounted for by pass. Right: each parameter relative to its last value by pass."),
     group="nonlinear",
-    place=20,
+    order=20,
     standard=Wiener.name,
 )
 def _iterations(subject: FigureSubject[WienerModel]) -> Drawn:

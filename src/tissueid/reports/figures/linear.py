@@ -39,7 +39,7 @@ from tissueid.reports.style import HALF_WIDTH, MUTED, drawing, new_figure
     marked("Impulse response against lag: points with a band of one deviation, and the second-order curve."),
     group="linear",
     wide=False,
-    place=40,
+    order=40,
     standard=Lms.name,
 )
 def _impulse_response(subject: FigureSubject[LmsModel]) -> Drawn:
@@ -61,7 +61,7 @@ def _impulse_response(subject: FigureSubject[LmsModel]) -> Drawn:
     marked("Coherence between 0 and 1 against frequency, with its significance level as a dashed line."),
     group="record",
     wide=False,
-    place=30,
+    order=30,
     standard=Spectral.name,
     short=True,
 )
@@ -83,7 +83,7 @@ def _coherence(subject: FigureSubject[SpectralModel]) -> Drawn:
     marked("Magnitude and phase of output over input against frequency, measured and as a second-order system."),
     group="linear",
     wide=False,
-    place=30,
+    order=30,
     standard=Spectral.name,
     short=True,
 )
@@ -103,9 +103,9 @@ def coherence_figure(model: SpectralModel) -> Figure:
     axes, plot = figure.subplots(), coherence_plot(model.spectra)
     draw_plot(axes, plot)
     if any(curve.kind == "spans" for curve in plot.curves):
-        words, end = _("hardly\nany input"), float(model.spectra.frequency_hz[-1])
+        label, end = _("hardly\nany input"), float(model.spectra.frequency_hz[-1])
         look: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "top", "fontsize": 8.5}
-        axes.annotate(words, (end, 1.0), (-3, 0), color=MUTED, **look)
+        axes.annotate(label, (end, 1.0), (-3, 0), color=MUTED, **look)
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, min(0.7, model.spectra.coherence_floor + 0.01)))
     return figure
 
@@ -117,7 +117,7 @@ def coherence_figure(model: SpectralModel) -> Figure:
     marked("Impulse response against lag, with a band where one is known, and the second-order curve."),
     group="linear",
     wide=False,
-    place=44,
+    order=44,
 )
 def impulse_figure(subject: FigureSubject[OnlineModel]) -> Drawn:
     """Draw the response used in simulation: the last one of ``rls``, the mean of ``als`` (Chen 2010, Fig. 6.3a)."""
@@ -136,7 +136,7 @@ def impulse_figure(subject: FigureSubject[OnlineModel]) -> Drawn:
     marked("Curves over time: distance of the response from the last one, and its value at a few lags."),
     group="linear",
     wide=False,
-    place=46,
+    order=46,
 )
 def convergence(subject: FigureSubject[OnlineModel]) -> Drawn:
     """Draw the distance of the response from the last one, and its value at a few lags."""
@@ -160,7 +160,7 @@ def convergence(subject: FigureSubject[OnlineModel]) -> Drawn:
     marked("Impulse response over time"),
     marked("Output over time, and below it an image of the impulse response over time and lag."),
     group="nonlinear",
-    place=62,
+    order=62,
 )
 def over_time(subject: FigureSubject[OnlineModel]) -> Drawn:
     """Draw the response over time, with the output above it (Chen 2010, Fig. 6.4a)."""
@@ -183,7 +183,7 @@ def over_time(subject: FigureSubject[OnlineModel]) -> Drawn:
     marked("Impulse response by depth"),
     marked("Left: image of the impulse response over lag and depth. Right: the responses as curves coloured by depth."),
     group="nonlinear",
-    place=63,
+    order=63,
 )
 def online_by_depth(subject: FigureSubject[AlsModel]) -> Drawn:
     """Draw the responses averaged by the output at which they were estimated (Chen 2010, Fig. 6.4b)."""
@@ -201,17 +201,17 @@ def online_by_depth(subject: FigureSubject[AlsModel]) -> Drawn:
     marked("Levels found in the record"),
     marked("Input and output over time, with each level as a line coloured by its depth."),
     group="record",
-    place=50,
+    order=50,
 )
 def levels(subject: FigureSubject[LocalizedModel]) -> Drawn:
     """Draw the levels found in the record (Chen 2010, Fig. 3.12)."""
-    found = subject.model.levels
+    level_fits = subject.model.levels
     drawn = column_figure(level_plots(subject.model, subject.record), 3.9, wide=True)
-    least = min(one.samples for one in found)
+    least = min(level.samples for level in level_fits)
     return drawn, _(
         "{count} levels; each has its own linear fit, which begins one memory length after the step. Lines: mean of "
         "each level, coloured from shallow to deep. The shortest level has {least} usable samples."
-    ).format(count=len(found), least=least)
+    ).format(count=len(level_fits), least=least)
 
 
 @figure(
@@ -220,7 +220,7 @@ def levels(subject: FigureSubject[LocalizedModel]) -> Drawn:
     marked("Impulse response at each level"),
     marked("Left: impulse responses against lag, coloured by depth. Right: each divided by its area."),
     group="linear",
-    place=50,
+    order=50,
 )
 def impulse_responses(subject: FigureSubject[LocalizedModel]) -> Drawn:
     """Draw impulse responses by level, unscaled and divided by their area (Chen 2010, Fig. 3.12a)."""
@@ -237,13 +237,13 @@ def impulse_responses(subject: FigureSubject[LocalizedModel]) -> Drawn:
     marked("Bode diagram at each level"),
     marked("Magnitude and phase against frequency of the linear system at each level, coloured by depth."),
     group="linear",
-    place=52,
+    order=52,
 )
 def bode(subject: FigureSubject[LocalizedModel]) -> Drawn:
     """Draw the compliance by level (Chen 2010, Fig. 3.13)."""
     drawn = row_figure(level_response_plots(subject.model, subject.record), 3.7)
-    natural = [one.fit.system.natural_frequency_rad_per_s / (2.0 * np.pi) for one in by_depth(subject.model)]
-    low, high = (fixed(float(one), 1) for one in (natural[0], natural[-1]))
+    natural = [level.fit.system.natural_frequency_rad_per_s / (2.0 * np.pi) for level in by_depth(subject.model)]
+    low, high = (fixed(float(frequency), 1) for frequency in (natural[0], natural[-1]))
     return drawn, _(
         "The magnitude at low frequencies is one over the stiffness: it falls with depth, while the natural frequency "
         "rises, here from {low} Hz at the shallowest level to {high} Hz at the deepest."

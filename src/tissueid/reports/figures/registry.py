@@ -100,7 +100,7 @@ class Declared:
     alt: str
     group: Group
     wide: bool
-    place: int
+    order: int
     standard: str
     short: bool
     applies: Callable[[FigureSubject[Any]], bool]
@@ -124,7 +124,7 @@ def figure(
     *,
     group: Group,
     wide: bool = True,
-    place: int = 50,
+    order: int = 50,
     standard: str = "",
     short: bool = False,
     applies: Callable[[FigureSubject[M]], bool] = lambda _subject: True,
@@ -141,7 +141,7 @@ def figure(
         alt: what a screen reader says.
         group: where on a page it belongs.
         wide: whether it takes the full width of the page, or half.
-        place: order in its group.
+        order: rank in its group, the lowest first.
         standard: name of the engine of the standard report without which the figure is left out; "" for others.
         short: whether it stands in the short section of a further test too.
         applies: whether the figure has any meaning for a model; where it has none nothing is said of it.
@@ -151,7 +151,7 @@ def figure(
     """
 
     def declare(draw: Callable[[FigureSubject[M]], Drawn]) -> Callable[[FigureSubject[M]], Drawn]:
-        made = Declared(model, key, heading, alt, group, wide, place, standard, short, applies, draw)
+        made = Declared(model, key, heading, alt, group, wide, order, standard, short, applies, draw)
         held = _declared.setdefault((model, key), made)
         if held is not made and held.draw.__qualname__ != draw.__qualname__:
             raise ValueError(f"two figures of {model.__name__} are called {key!r}")
@@ -163,36 +163,42 @@ def figure(
 def figures_of(subject: FigureSubject[Model]) -> tuple[Declared, ...]:
     """The figures that can be drawn of a model, in their order; one of a class overrides that of the classes above."""
     _load()
-    found: dict[str, Declared] = {}
+    by_key: dict[str, Declared] = {}
     if subject.name in engine_names():
         for described in get_engine(subject.name).figures:
-            found[described.key] = _of_engine(subject.name, described)
+            by_key[described.key] = _of_engine(subject.name, described)
     for kind in type(subject.model).__mro__:
-        for (model, key), one in _declared.items():
+        for (model, key), declared in _declared.items():
             if model is kind:
-                found.setdefault(key, one)
-    return tuple(sorted((one for one in found.values() if one.applies(subject)), key=lambda one: one.place))
+                by_key.setdefault(key, declared)
+    return tuple(
+        sorted(
+            (declared for declared in by_key.values() if declared.applies(subject)), key=lambda declared: declared.order
+        )
+    )
 
 
-def _of_engine(name: str, one: LineFigure) -> Declared:
+def _of_engine(name: str, described: LineFigure) -> Declared:
     """Return the declaration of a figure that an engine describes by its curves."""
 
     def draw(subject: FigureSubject[Any]) -> Drawn:
         curves = [
-            Curve(curve.x, curve.y, curve.label, ROLES[place % len(ROLES)], "points" if curve.points else "line")
-            for place, curve in enumerate(one.curves(subject.model))
+            Curve(curve.x, curve.y, curve.label, ROLES[index % len(ROLES)], "points" if curve.points else "line")
+            for index, curve in enumerate(described.curves(subject.model))
         ]
-        drawn = column_figure([Plot("", Axis(one.x_label), Axis(one.y_label), tuple(curves))], 4.2, wide=True)
-        return drawn, translated(one.caption)
+        drawn = column_figure(
+            [Plot("", Axis(described.x_label), Axis(described.y_label), tuple(curves))], 4.2, wide=True
+        )
+        return drawn, translated(described.caption)
 
     return Declared(
         model=Model,  # type: ignore[type-abstract]
-        key=one.key,
-        heading=one.heading,
-        alt=one.alt,
-        group=one.group,
+        key=described.key,
+        heading=described.heading,
+        alt=described.alt,
+        group=described.group,
         wide=True,
-        place=50,
+        order=50,
         standard=name,
         short=False,
         applies=lambda _subject: True,
@@ -201,9 +207,9 @@ def _of_engine(name: str, one: LineFigure) -> Declared:
 
 
 def all_figures() -> tuple[Declared, ...]:
-    """Every figure that is declared, in the order of place."""
+    """Every figure that is declared, by their order."""
     _load()
-    return tuple(sorted(_declared.values(), key=lambda one: one.place))
+    return tuple(sorted(_declared.values(), key=lambda declared: declared.order))
 
 
 @cache
@@ -230,7 +236,7 @@ _SMALL_GAIN = 2.0
         "Three panels against depth: mass, damping and stiffness with 95 % bars, and below the samples at each depth."
     ),
     group="nonlinear",
-    place=30,
+    order=30,
     applies=lambda subject: subject.profile is not None,
 )
 def depth_profile(subject: FigureSubject[Model]) -> Drawn:
@@ -254,7 +260,7 @@ def depth_profile(subject: FigureSubject[Model]) -> Drawn:
     marked("Measured and predicted"),
     marked("Measured output as dots with the simulation of the model as a line, and the residual below."),
     group="validation",
-    place=10,
+    order=10,
 )
 def prediction(subject: FigureSubject[Model]) -> Drawn:
     """Draw a stretch of held-out samples (Chen 2010, Figs. 3.10, 4.7 and 5.5a)."""
@@ -272,7 +278,7 @@ def prediction(subject: FigureSubject[Model]) -> Drawn:
     ),
     group="validation",
     wide=False,
-    place=12,
+    order=12,
 )
 def scatter(subject: FigureSubject[Model]) -> Drawn:
     """Draw all held-out samples (Chen 2010, Figs. 4.10 and 5.5b)."""
@@ -287,15 +293,15 @@ def scatter(subject: FigureSubject[Model]) -> Drawn:
     marked("Residual tests"),
     marked("Ten small panels: correlations of the residual over lags with bands, each with its verdict."),
     group="validation",
-    place=14,
+    order=14,
 )
 def residuals(subject: FigureSubject[Model]) -> Drawn:
     """Draw the tests of the held-out residual, each with its bands and verdict."""
     analysis = subject.analysis
-    found = residual_tests(subject.model, analysis.held_out_record, analysis.held_out)
+    results = residual_tests(subject.model, analysis.held_out_record, analysis.held_out)
     drawn = new_figure(FULL_WIDTH, 3.9)
-    every = drawn.subplots(2, -(-len(found.tests) // 2))
-    for axes, test in zip(every.flat, found.tests, strict=False):
+    every = drawn.subplots(2, -(-len(results.tests) // 2))
+    for axes, test in zip(every.flat, results.tests, strict=False):
         _test_panel(axes, test)
     for axes in every[-1]:
         axes.set_xlabel(_("Lag (ms)"))
@@ -305,7 +311,7 @@ def residuals(subject: FigureSubject[Model]) -> Drawn:
         "Correlations of the held-out residual with signals that it should not depend on. Shaded: exceeded by one lag "
         "by chance in 5 % of cases; dashed: exceeded by any lag in 5 % of cases. ✓ passed, ✕ failed."
     )
-    return drawn, captions.joined(text, captions.findings(found.findings))
+    return drawn, captions.joined(text, captions.findings(results.findings))
 
 
 def _test_panel(axes: Axes, test: ResidualTest) -> None:
@@ -330,7 +336,7 @@ def _test_panel(axes: Axes, test: ResidualTest) -> None:
     marked("Variance accounted for against prediction horizon, falling to the level of the free run."),
     group="validation",
     wide=False,
-    place=13,
+    order=13,
 )
 def horizon(subject: FigureSubject[Model]) -> Drawn:
     """Draw the score of n-step prediction on the held-out part, with that of the free run."""

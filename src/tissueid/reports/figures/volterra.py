@@ -57,7 +57,7 @@ _HEIGHT = 2.0
     marked("First-order kernel against lag with its 95 % band, and the second-order linear system as a dashed curve."),
     group="linear",
     wide=False,
-    place=60,
+    order=60,
 )
 def first_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw h1 with its band (Chen 2010, Figs. 4.6a and 4.12)."""
@@ -76,7 +76,7 @@ def first_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
     marked("Second-order kernel"),
     marked("Symmetric image of the second-order kernel over two lags, and the same kernel as a surface."),
     group="nonlinear",
-    place=60,
+    order=60,
 )
 def second_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw h2 as an image and as a surface (Chen 2010, Figs. 4.3, 4.6b and 4.9)."""
@@ -109,7 +109,7 @@ def second_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
     marked("Third-order kernel"),
     marked("Slices of the third-order kernel over two lags, each at another third lag."),
     group="nonlinear",
-    place=64,
+    order=64,
     applies=lambda subject: subject.model.kernel3 is not None,
 )
 def third_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
@@ -128,7 +128,7 @@ def third_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
     marked("Curves against lag: first-order, second-order and total response to an impulse."),
     group="nonlinear",
     wide=False,
-    place=66,
+    order=66,
 )
 def impulse_contributions(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw the contribution of each order to the response to an impulse (Chen 2010, Eq. 4.15 and Fig. 4.3)."""
@@ -150,7 +150,7 @@ def impulse_contributions(subject: FigureSubject[VolterraModel]) -> Drawn:
     marked("Residual nonlinearity by contribution"),
     marked("Clouds of measured against modelled output: first order alone, with the diagonal of the second, and all."),
     group="nonlinear",
-    place=68,
+    order=68,
 )
 def contributions(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw the residual nonlinearity as orders are added (Chen 2010, Figs. 4.3 and 4.10)."""
@@ -177,7 +177,7 @@ def _has_second(subject: FigureSubject[VolterraModel]) -> bool:
     marked("Second-order kernel, raw and smoothed"),
     marked("Images of the second-order kernel and below each the magnitude of its two-dimensional Fourier transform."),
     group="nonlinear",
-    place=61,
+    order=61,
     applies=_has_second,
 )
 def processing(subject: FigureSubject[VolterraModel]) -> Drawn:
@@ -202,7 +202,7 @@ def processing(subject: FigureSubject[VolterraModel]) -> Drawn:
     marked("Output with raw and smoothed kernels"),
     marked("Measured held-out output as dots with the simulations of the raw and the smoothed kernels as lines."),
     group="validation",
-    place=70,
+    order=70,
     applies=_has_second,
 )
 def processing_output(subject: FigureSubject[VolterraModel]) -> Drawn:
@@ -221,7 +221,7 @@ def processing_output(subject: FigureSubject[VolterraModel]) -> Drawn:
     marked("Residual nonlinearity with raw and smoothed kernels"),
     marked("Clouds of measured against modelled held-out output for the raw and the smoothed kernels."),
     group="validation",
-    place=72,
+    order=72,
     applies=_has_second,
 )
 def processing_residual(subject: FigureSubject[VolterraModel]) -> Drawn:
@@ -237,7 +237,7 @@ def processing_residual(subject: FigureSubject[VolterraModel]) -> Drawn:
     marked("Power spectra of the input sampled at several rates; a white input is level up to the end of its curve."),
     group="record",
     wide=False,
-    place=60,
+    order=60,
 )
 def spacing(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw spectra of the input at several sample rates (Chen 2010, Fig. 4.8)."""
@@ -268,9 +268,9 @@ def _strategies(subject: FigureSubject[VolterraModel]) -> tuple[tuple[str, Volte
         smoothing=THESIS_SIGMA,
     ).fit(subject.record, subject.analysis.fit_part)
     assert plain.unfiltered is not None
-    found: tuple[tuple[str, VolterraModel], ...] = ((_RAW, plain.unfiltered), (_FILTERED, plain))
+    strategies: tuple[tuple[str, VolterraModel], ...] = ((_RAW, plain.unfiltered), (_FILTERED, plain))
     method = str(model.report.options.get("method", "as fitted"))
-    return found if method == "exact" else (*found, ({"laguerre": "Laguerre"}.get(method, method), model))
+    return strategies if method == "exact" else (*strategies, ({"laguerre": "Laguerre"}.get(method, method), model))
 
 
 def _held_out_runs(subject: FigureSubject[VolterraModel]) -> list[Prediction]:
@@ -286,18 +286,18 @@ _STEPS = 160
     marked("Mass, damping and stiffness against depth"),
     marked("Curves of mass, damping and stiffness against depth with 95 % bands, and the distribution of depths."),
     group="nonlinear",
-    place=30,
+    order=30,
 )
 def curves(subject: FigureSubject[DpnModel]) -> Drawn:
     """Draw M(y), B(y) and K(y) with their bands over the visited depths."""
     model = subject.model
     position, origin = _visited(subject)
-    known = model.known
+    estimated = model.known
     *plots, samples = dpn_plots(model, position, subject.surface_position_m)
     drawn = new_figure(FULL_WIDTH, 4.3)
     draw_over_samples(drawn, plots, samples, key=True)
-    middle = np.array([float(np.median(known.position))])
-    at, stiffness = fixed(1e3 * (float(middle[0]) - origin), 2), known.stiffness(middle)
+    middle = np.array([float(np.median(estimated.position))])
+    at, stiffness = fixed(1e3 * (float(middle[0]) - origin), 2), estimated.stiffness(middle)
     return drawn, _(
         "Curves with pointwise 95 % bands; below, the number of samples at each depth: where there are few, the bands "
         "widen. At the median of {at} mm the tangent stiffness is {stiffness} N/m. Damping that differs between the "
@@ -312,7 +312,7 @@ def curves(subject: FigureSubject[DpnModel]) -> Drawn:
     marked("Force of the tissue at rest against depth, with its 95 % band, over the measured force and position."),
     group="nonlinear",
     wide=False,
-    place=32,
+    order=32,
 )
 def static_force(subject: FigureSubject[DpnModel]) -> Drawn:
     """Draw F(y), the integral of the tangent stiffness, over the samples."""
@@ -346,7 +346,7 @@ def _visited(subject: FigureSubject[DpnModel]) -> tuple[Array, float]:
     marked("Output and its partitions"),
     marked("Left: output over time with the partitions of depth as bands. Right: histogram of the samples in each."),
     group="record",
-    place=50,
+    order=50,
 )
 def partitions(subject: FigureSubject[PartitionedModel]) -> Drawn:
     """Draw the output with the limits of the partitions (Chen 2010, Fig. 5.4a)."""
@@ -366,7 +366,7 @@ def partitions(subject: FigureSubject[PartitionedModel]) -> Drawn:
     marked("Kernels by depth"),
     marked("Kernels against lag as curves coloured by depth, one panel for each direction."),
     group="nonlinear",
-    place=26,
+    order=26,
 )
 def kernels(subject: FigureSubject[PartitionedModel]) -> Drawn:
     """Draw the fitted kernels, coloured by depth (Chen 2010, Fig. 5.4b)."""
@@ -387,7 +387,7 @@ def kernels(subject: FigureSubject[PartitionedModel]) -> Drawn:
     marked("Kernels over lag and depth"),
     marked("Image of the kernels over lag and depth, and the same as a surface."),
     group="nonlinear",
-    place=27,
+    order=27,
 )
 def kernel_image(subject: FigureSubject[PartitionedModel]) -> Drawn:
     """Draw the kernels about the mean input as an image and as a surface (Chen 2010, Figs. 5.5c and d)."""
@@ -411,7 +411,7 @@ def kernel_image(subject: FigureSubject[PartitionedModel]) -> Drawn:
     marked("Scheduled by measured depth, and free run"),
     marked("Clouds of measured against modelled held-out output: scheduled by measured depth, and free run."),
     group="validation",
-    place=60,
+    order=60,
 )
 def scheduled(subject: FigureSubject[PartitionedModel]) -> Drawn:
     """Draw the residual nonlinearity of the scheduled and of the free run (Chen 2010, Fig. 5.5b)."""
