@@ -50,4 +50,4 @@ def test_a_mass_that_the_test_does_not_determine_is_no_number() -> None:
     signals = {"time": time, "force": force, "position": position}
     numbers = identify(Path("a.h5"), make_session(Test(1, "stochastic", signals, 1000.0)), 1).numbers
     assert [number.value == MISSING for number in numbers] == [True, False, False, False, False]
-    assert numbers[0].found is None
+    assert numbers[0].estimate is None
