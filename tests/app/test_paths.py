@@ -136,7 +136,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
     qtbot.waitUntil(lambda: browser.shown.rowCount() == 1, timeout=WAIT_MS)
     rest(qtbot, window)
     qtbot.keyClick(browser.tree, Qt.Key.Key_F, CONTROL)
-    qtbot.keyClicks(browser.bar.words, "calf")
+    qtbot.keyClicks(browser.bar.search, "calf")
     assert browser.shown.rowCount() == 1
     place = browser.tree.visualRect(browser.shown.index(0, 0)).center()
     qtbot.mouseClick(browser.tree.viewport(), Qt.MouseButton.LeftButton, pos=place)
@@ -173,7 +173,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
     press(qtbot, panel.compare)
     rest(qtbot, window)
     assert panel.tabs.currentWidget() is panel.verdicts
-    assert "Judged on" in panel.verdicts.words.toPlainText()
+    assert "Judged on" in panel.verdicts.reasons.toPlainText()
     # Exporting: the table, and the samples.
     press(qtbot, panel.save_table)
     answer(qtbot, window, tmp_path / "table.csv")

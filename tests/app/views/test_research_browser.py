@@ -38,11 +38,11 @@ def test_search_and_filters_narrow_the_list_down(qtbot, opened):
     _, view = opened()
     bar = view.browser.bar
     qtbot.keyClick(view.browser.tree, Qt.Key.Key_F, Qt.KeyboardModifier.ControlModifier)
-    assert bar.words.hasFocus()
-    qtbot.keyClicks(bar.words, "FOREARM p-3")
+    assert bar.search.hasFocus()
+    qtbot.keyClicks(bar.search, "FOREARM p-3")
     assert listed(view) == ["c.h5"]
     assert view.browser.count.text() == "3 sessions, 1 unreadable; 1 shown"
-    qtbot.keyClicks(bar.words, " nowhere")
+    qtbot.keyClicks(bar.search, " nowhere")
     assert listed(view) == []
     qtbot.mouseClick(bar.clear, Qt.MouseButton.LeftButton)
     assert len(listed(view)) == 4
@@ -170,7 +170,7 @@ def test_sessions_are_listed_while_the_search_goes_on(qtbot, host, year, held):
 def test_files_of_a_slow_folder_are_read_before_it_is_walked_to_the_end(year):
     class Watched(type(year)):
         def is_dir(self):
-            read.append(search.found.qsize())
+            read.append(search.entries.qsize())
             return False
 
     read, search = [], session_search.SessionSearch([year, Watched(year / "gone")], [], {})
@@ -236,7 +236,7 @@ def test_every_control_has_a_name_and_the_tab_key_reaches_it(qtbot, opened):
     window, view = opened()
     show(qtbot, window, view, (0,), tests=1)
     bar = view.browser.bar
-    expected = [view.browser.folders, view.browser.again, bar.words, bar.clear, bar.subject, bar.site, bar.kind]
+    expected = [view.browser.folders, view.browser.again, bar.search, bar.clear, bar.subject, bar.site, bar.kind]
     expected += [
         view.browser.tree,
         view.export,
@@ -246,7 +246,7 @@ def test_every_control_has_a_name_and_the_tab_key_reaches_it(qtbot, opened):
         view.signals.low,
     ]
     expected += [view.signals.high, view.signals.save, view.signals.table, view.signals.spectrum.choice]
-    bar.words.setText("p-2")  # so that Clear can be pressed
+    bar.search.setText("p-2")  # so that Clear can be pressed
     expected[0].setFocus()
     visited = [window.focusWidget()]
     for _ in range(len(expected) - 1):
@@ -285,7 +285,7 @@ def test_columns_without_room_are_folded_so_that_the_list_needs_no_sideways_scro
         needed = sum(tree._widths[column] for column in shown)
         assert needed <= tree.viewport().width() or shown == [0, 1, 2, 3]
     assert len(shown) == 9
-    view.browser.bar.words.setText("a.h5")
+    view.browser.bar.search.setText("a.h5")
     assert listed(view) == ["a.h5"]
 
 

@@ -78,10 +78,10 @@ def test_the_menu_chooses_the_signals_and_the_choice_is_kept(qtbot, opened):
     assert not action.isChecked()
     action.trigger()
     assert len(view.signals.stack.cards) == 4
-    view.browser.bar.words.setText("calf")
+    view.browser.bar.search.setText("calf")
     view.save_state()
     again, view = opened()
-    assert view.browser.bar.words.text() == "calf"
+    assert view.browser.bar.search.text() == "calf"
     assert listed(view) == ["b.h5"]
     show(qtbot, again, view, (0,), tests=1)
     assert view.signals.channels.text() == "Signals (4 of 4)"

@@ -213,7 +213,7 @@ def test_a_comparison_recommends_with_reasons(qtbot, panel, two, tmp_path):
     wait(qtbot, panel)
     assert panel.tabs.currentWidget() is panel.verdicts
     assert panel.verdicts.headline.text().endswith(".")
-    assert "Judged on" in panel.verdicts.words.toPlainText()
+    assert "Judged on" in panel.verdicts.reasons.toPlainText()
     standings = panel.verdicts.standings
     last = [[standings.item(row, column).text() for column in (0, 1)] for row in range(standings.rowCount())]
     assert sum(verdict == "recommended" for _, verdict in last) == 1

@@ -71,7 +71,7 @@ class AnalysisPanel(QWidget):
         self._history = history or AnalysisHistory()
         self._chosen: tuple[SelectedTest, ...] = ()
         self._work: JobControl | None = None
-        self._left = RemainingTime()
+        self._remaining = RemainingTime()
         self._doing, self._shown_parts = "", 0
         self._busy = self._working = False
         self.form = EngineForm()
@@ -240,7 +240,7 @@ class AnalysisPanel(QWidget):
             return
         control = JobControl()
         self._work, self._doing, self._shown_parts = control, doing, 0
-        self._left = RemainingTime()
+        self._remaining = RemainingTime()
         self.cancelling.setEnabled(True)
         self._look()
         self._looking.start()
@@ -297,7 +297,7 @@ class AnalysisPanel(QWidget):
         if self._work is not None and not self._work.cancelled():
             step, share = self._work.step, self._work.fraction or 0.0
             doing = Verbatim(f"{self._doing} {step}" if step else self._doing)
-            said = self._left.added_to(Message("research.step", "{step}", step=doing), share)
+            said = self._remaining.added_to(Message("research.step", "{step}", step=doing), share)
             self.progress.show_progress(share, translated(said))
 
     def _done(self, batch: Batch) -> None:
@@ -315,9 +315,9 @@ class AnalysisPanel(QWidget):
         elif batch.cancelled:
             self.context.say(_("Cancelled; what was done by then is shown."))
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         self._end()
-        self.context.say(words, problem=True)
+        self.context.say(message, problem=True)
 
     def _end(self) -> None:
         self._looking.stop()

@@ -19,9 +19,9 @@ _WIDTH = 240
 class BackgroundWork(JobControl):
     """Work with progress. Its thread reports the ``fraction`` done and stops soon after a cancellation."""
 
-    def __init__(self, words: str) -> None:
+    def __init__(self, label: str) -> None:
         super().__init__()
-        self.words = words
+        self.label = label
 
     def tell(self, fraction: float) -> None:
         """Report the fraction done, 0 to 1.
@@ -29,7 +29,7 @@ class BackgroundWork(JobControl):
         Raises:
             CancelledError: the work was cancelled.
         """
-        self.progress(fraction, self.words)
+        self.progress(fraction, self.label)
         self.check()
 
 
@@ -40,8 +40,8 @@ class ProgressStrip(QWidget):
         super().__init__(parent)
         self._errand: BackgroundWork | None = None
         self._progress = build.ProgressRow(ElidedLabel(), _("Progress"), _("Cancel the running work"), self.cancel)
-        words, bar, self.stop = self._progress.parts
-        build.row((words, 2), (bar, 1), build.styled(self.stop, role="small"), parent=self)
+        label, bar, self.stop = self._progress.parts
+        build.row((label, 2), (bar, 1), build.styled(self.stop, role="small"), parent=self)
         self._timer = timer(self, _LOOK_MS, self._look, repeat=True)
         keep = self.sizePolicy()
         keep.setRetainSizeWhenHidden(True)
@@ -56,7 +56,7 @@ class ProgressStrip(QWidget):
         """Show the progress of work until :meth:`clear`."""
         self._errand = errand
         self.stop.setEnabled(True)
-        self._progress.bar.setAccessibleName(errand.words)
+        self._progress.bar.setAccessibleName(errand.label)
         self._look()
         self._timer.start()
         self.show()
@@ -76,5 +76,5 @@ class ProgressStrip(QWidget):
 
     def _look(self) -> None:
         if self._errand is not None:
-            words = _("Stopping…") if self._errand.cancelled() else self._errand.words
-            self._progress.show_progress(self._errand.fraction or 0.0, words)
+            text = _("Stopping…") if self._errand.cancelled() else self._errand.label
+            self._progress.show_progress(self._errand.fraction or 0.0, text)

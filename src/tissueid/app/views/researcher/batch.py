@@ -59,13 +59,13 @@ def run(task: AnalysisTask, history: AnalysisHistory, moment: str, control: Cont
     read = functools.lru_cache(maxsize=2)(read_session)
     cancelled = False
     try:
-        for place, group in enumerate(groups):
-            part = _PartControl(control, place, len(groups), clean(group[0].label))
+        for index, group in enumerate(groups):
+            part = _PartControl(control, index, len(groups), clean(group[0].label))
             part.progress(0.0, "")
             part.check()
             stamp = stamp_of(group[0].path)
             try:
-                found, verdict = (_run_one if task.kind == "run" else _compare_one)(task, group, read, part)
+                outcomes, verdict = (_run_one if task.kind == "run" else _compare_one)(task, group, read, part)
             except CancelledError:
                 raise
             except Exception as error:  # noqa: BLE001 - one test that fails must not cost the others
@@ -73,10 +73,10 @@ def run(task: AnalysisTask, history: AnalysisHistory, moment: str, control: Cont
                 done.append(_refused(task, task.engines[0], group, in_words(error)))
                 control.finished(done[-1:])
                 continue
-            found = [replace(outcome, stamp=stamp) for outcome in found]
-            done += found if len(done) < _MOST_DRAWN else [outcome.bare() for outcome in found]
+            outcomes = [replace(outcome, stamp=stamp) for outcome in outcomes]
+            done += outcomes if len(done) < _MOST_DRAWN else [outcome.bare() for outcome in outcomes]
             verdicts += verdict
-            control.finished(done[len(done) - len(found) :])
+            control.finished(done[len(done) - len(outcomes) :])
     except CancelledError:
         cancelled = True
     entry = HistoryEntry(time=moment, task=task, headline=_headline(done, cancelled))
@@ -100,14 +100,14 @@ def refit(outcomes: Sequence[EngineOutcome], control: Control) -> Batch:
     done, problems, cancelled = list[EngineOutcome](), list[str](), False
     read = functools.lru_cache(maxsize=2)(read_session)
     tasks = [_task_of(outcome) for outcome in outcomes]
-    for place, (outcome, task) in enumerate(zip(outcomes, tasks, strict=True)):
-        part = _PartControl(control, place, len(outcomes), outcome.test_label)
+    for index, (outcome, task) in enumerate(zip(outcomes, tasks, strict=True)):
+        part = _PartControl(control, index, len(outcomes), outcome.test_label)
         try:
             part.progress(0.0, "")
             part.check()
             stamp = stamp_of(outcome.tests[0].path)
-            ((found,), _none) = _run_one(task, outcome.tests, read, part)
-            done.append(replace(found, options=outcome.options, stamp=stamp, recommended=outcome.recommended))
+            ((fitted,), _none) = _run_one(task, outcome.tests, read, part)
+            done.append(replace(fitted, options=outcome.options, stamp=stamp, recommended=outcome.recommended))
         except CancelledError:
             cancelled = True
             break
@@ -144,22 +144,22 @@ def run_folder(folder: Path, task: AnalysisTask, history: AnalysisHistory, momen
     if not tests:
         raise UnusableInputError("research.no_session", "there is no session in {folder}", folder=str(folder))
     named = task.model_copy(update={"tests": tuple(tests)})
-    found = run(named, history, moment, control)
-    return replace(found, problems=(*problems, *found.problems))
+    batch = run(named, history, moment, control)
+    return replace(batch, problems=(*problems, *batch.problems))
 
 
 class _PartControl(Control):
     """Control of one of several parts of a task: it shows the completed share of the task."""
 
-    def __init__(self, whole: Control, place: int, count: int, label: str) -> None:
-        self._whole, self._place, self._count = whole, place, count
+    def __init__(self, whole: Control, index: int, count: int, label: str) -> None:
+        self._whole, self._index, self._count = whole, index, count
         self._label = (
-            _("{place} of {count}: {label}").format(place=place + 1, count=count, label=label) if count > 1 else label
+            _("{place} of {count}: {label}").format(place=index + 1, count=count, label=label) if count > 1 else label
         )
 
     def progress(self, fraction: float | None, step: str) -> None:
         """Show the part, the step and the completed share of the task."""
-        share = (self._place + (fraction or 0.0)) / self._count
+        share = (self._index + (fraction or 0.0)) / self._count
         self._whole.progress(share, f"{self._label}, {step}" if step else self._label)
 
     def cancelled(self) -> bool:
@@ -206,46 +206,48 @@ def _compare_one(
 ) -> tuple[list[EngineOutcome], list[ComparisonSummary]]:
     shown = _ComparisonControl(control, task.engines)
     specified = specifications(task.engines)
-    found = compare_engines(read(group[0].path), specified, shown, **task.selection(group)).comparison
+    comparison = compare_engines(read(group[0].path), specified, shown, **task.selection(group)).comparison
     control.progress(0.96, _("drawing"))
     control.check()
-    return list(_outcomes(found, group, task)), [summary_of(found, group)]
+    return list(_outcomes(comparison, group, task)), [summary_of(comparison, group)]
 
 
-def _outcomes(found: EngineComparison, group: tuple[SelectedTest, ...], task: AnalysisTask) -> Iterator[EngineOutcome]:
+def _outcomes(
+    comparison: EngineComparison, group: tuple[SelectedTest, ...], task: AnalysisTask
+) -> Iterator[EngineOutcome]:
     signals, prepared = (task.input_name, task.output_name), task.preparation.without_actuator
-    for entry in found.entries:
+    for entry in comparison.entries:
         if entry.scored is None:
             yield EngineOutcome(
                 entry.engine, {}, group, signals, preparation=prepared, refused=entry.refused or marked("refused")
             )
         else:
-            best = entry.engine == found.recommendation.engine
+            best = entry.engine == comparison.recommendation.engine
             outcome = EngineOutcome.of(entry.scored.analysis, {}, group, signals, prepared)
             yield replace(outcome, recommended=best)
 
 
-def _refused(task: AnalysisTask, engine: str, group: tuple[SelectedTest, ...], words: str) -> EngineOutcome:
+def _refused(task: AnalysisTask, engine: str, group: tuple[SelectedTest, ...], reason: str) -> EngineOutcome:
     signals = task.input_name, task.output_name
-    return EngineOutcome(engine, dict(task.options), group, signals, preparation=task.preparation, refused=words)
+    return EngineOutcome(engine, dict(task.options), group, signals, preparation=task.preparation, refused=reason)
 
 
 def _headline(done: list[EngineOutcome], cancelled: bool) -> str:
     """Return the result of a run in a line: number of fits, and their scores on held-out data."""
     reports = [outcome.report for outcome in done if outcome.report is not None]
     held_out = sorted(r.vaf_validation_percent for r in reports if r.vaf_validation_percent is not None)
-    words: list[str] = []
+    parts: list[str] = []
     if len(done) > 1 or not reports:
-        words.append(Message("research.fitted", "{count} of {total} fitted", count=len(reports), total=len(done)))
+        parts.append(Message("research.fitted", "{count} of {total} fitted", count=len(reports), total=len(done)))
     if held_out:
         low, high = held_out[0], held_out[-1]
         if fixed(low, 1) == fixed(high, 1):
-            words.append(Message("research.vaf", "VAF held out {percent:.1f} %", percent=low))
+            parts.append(Message("research.vaf", "VAF held out {percent:.1f} %", percent=low))
         else:
-            words.append(Message("research.vaf_range", "VAF held out {low:.1f} to {high:.1f} %", low=low, high=high))
+            parts.append(Message("research.vaf_range", "VAF held out {low:.1f} to {high:.1f} %", low=low, high=high))
     if cancelled:
-        words.append(marked("cancelled"))
-    return Message("research.headline", "{names}", names=Listing(tuple(words))) if words else ""
+        parts.append(marked("cancelled"))
+    return Message("research.headline", "{names}", names=Listing(tuple(parts))) if parts else ""
 
 
 def find_tests(folder: Path, control: Control) -> tuple[list[SelectedTest], list[str]]:
@@ -273,8 +275,8 @@ def find_tests(folder: Path, control: Control) -> tuple[list[SelectedTest], list
         ) from error
     tests: list[SelectedTest] = []
     problems: list[str] = []
-    for place, path in enumerate(sorted(paths)):
-        control.progress(place / len(paths), _("reading {name}").format(name=clean(path.name)))
+    for index, path in enumerate(sorted(paths)):
+        control.progress(index / len(paths), _("reading {name}").format(name=clean(path.name)))
         control.check()
         try:
             session = read_session(path)
@@ -317,18 +319,18 @@ COLUMNS = (
 )
 
 
-def summary_of(found: EngineComparison, tests: tuple[SelectedTest, ...]) -> ComparisonSummary:
+def summary_of(comparison: EngineComparison, tests: tuple[SelectedTest, ...]) -> ComparisonSummary:
     """Return the summary of a comparison; refused engines come last, with the reason."""
-    said = found.recommendation
+    said = comparison.recommendation
     recommended = (said.engine, said.second_order)
-    rows = [_standing(one, (one.engine, one.second_order) == recommended) for one in said.standings]
+    rows = [_standing(standing, (standing.engine, standing.second_order) == recommended) for standing in said.standings]
     rows += [
         (engine_label(entry.engine), _("refused"), *[MISSING] * 4, sentence(translated(entry.refused)))
-        for entry in found.entries
+        for entry in comparison.entries
         if entry.refused
     ]
     headline, *reasons = map(translated, said.sentences)
-    ceiling = found.ceiling
+    ceiling = comparison.ceiling
     if ceiling is not None:
         reasons.append(_("Repeats of the test allow {vaf} % at best.").format(vaf=fixed(ceiling.vaf_percent.value, 2)))
     label = (
@@ -342,21 +344,21 @@ def summary_of(found: EngineComparison, tests: tuple[SelectedTest, ...]) -> Comp
         sentence(_("judged on {data}").format(data=translated(said.judged_on))),
         tuple(map(sentence, reasons)),
         tuple(sentence(translated(doubt)) for doubt in said.doubts),
-        tuple(sentence(translated(words)) for words in said.experiments),
+        tuple(sentence(translated(experiment)) for experiment in said.experiments),
         tuple(rows),
     )
 
 
-def _standing(one: ModelStanding, recommended: bool) -> tuple[str, ...]:
-    name = engine_label(one.engine) + (_(", mass, damping and stiffness") if one.second_order else "")
-    behind = one.behind
+def _standing(standing: ModelStanding, recommended: bool) -> tuple[str, ...]:
+    name = engine_label(standing.engine) + (_(", mass, damping and stiffness") if standing.second_order else "")
+    behind = standing.behind
     how = fixed(behind.points, 2) + (f" ± {fixed(behind.std_points, 2)}" if behind.points else "")
     return (
         name,
-        _("recommended") if recommended else _("clearly worse") if one.beaten else _("as good"),
-        fixed(one.vaf_percent, 2),
-        fixed(one.vaf_fitted_percent, 2),
+        _("recommended") if recommended else _("clearly worse") if standing.beaten else _("as good"),
+        fixed(standing.vaf_percent, 2),
+        fixed(standing.vaf_fitted_percent, 2),
         how,
-        grouped(one.aicc),
-        _(str(one.family)),
+        grouped(standing.aicc),
+        _(str(standing.family)),
     )

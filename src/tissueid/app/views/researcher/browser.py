@@ -38,7 +38,7 @@ class FilterBar(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.words = build.styled(
+        self.search = build.styled(
             QLineEdit(),
             max_length=_LONGEST_FILTER,
             placeholder_text=_("Search in all columns"),
@@ -55,23 +55,23 @@ class FilterBar(QWidget):
         for choice in self.choices:
             choice.view().setTextElideMode(Qt.TextElideMode.ElideRight)
         choices = build.row(*[(choice, 1) for choice in self.choices])
-        build.column(build.row((self.words, 1), self.clear), choices, parent=self)
-        self.words.textChanged.connect(self._chosen)
+        build.column(build.row((self.search, 1), self.clear), choices, parent=self)
+        self.search.textChanged.connect(self._chosen)
         self._chosen()
 
     @property
     def asked(self) -> tuple[str, str, str, str]:
         """Search words, subject, site and kind; "" for no filter."""
         subject, site, kind = (str(choice.currentData() or "") for choice in self.choices)
-        return self.words.text(), subject, site, kind
+        return self.search.text(), subject, site, kind
 
-    def ask(self, words: str, subject: str, site: str, kind: str) -> None:
+    def ask(self, search: str, subject: str, site: str, kind: str) -> None:
         """Set the search words and filters."""
         for choice, value in zip(self.choices, (subject, site, kind), strict=True):
             if value and choice.findData(value) < 0:
                 choice.addItem(self._text(choice, value), value)
             choice.setCurrentIndex(choice.findData(value))
-        self.words.setText(words)
+        self.search.setText(search)
 
     def offer(self, entries: Iterable[SessionEntry]) -> None:
         """Offer the values found in these files; the selection stays."""
@@ -83,7 +83,7 @@ class FilterBar(QWidget):
 
     def _fill(self, choice: QComboBox, values: set[str]) -> None:
         wanted = sorted(values, key=str.casefold)[:_MOST_OFFERED]
-        if [choice.itemData(place) for place in range(1, choice.count())] != wanted:
+        if [choice.itemData(index) for index in range(1, choice.count())] != wanted:
             build.offer(choice, {"": choice.itemText(0)} | {value: self._text(choice, value) for value in wanted})
 
     def _text(self, choice: QComboBox, value: str) -> str:
@@ -99,7 +99,7 @@ class FilterBar(QWidget):
 
     def _clear(self) -> None:
         self.ask("", "", "", "")
-        self.words.setFocus()
+        self.search.setFocus()
 
 
 _LONGEST = 70
@@ -212,7 +212,7 @@ class Browser(QWidget):
             rows = range(self.shown.rowCount(top))
             wanted = rows if -1 in tops[row] else sorted(tops[row])
             chosen += [
-                self._chosen(entry, self.shown.data(self.shown.index(place, DATE, top), ITEM)) for place in wanted
+                self._chosen(entry, self.shown.data(self.shown.index(test_row, DATE, top), ITEM)) for test_row in wanted
             ]
         return chosen
 
@@ -228,7 +228,9 @@ class Browser(QWidget):
         folders = [path for path in self.folders.paths if path != self._context.services.folder or path.is_dir()]
         resolved = [folder.resolve() for folder in folders]
         visited = [study for study in visited_studies(self._context.settings) if study.is_dir()]
-        folders += [one for one in visited if not any(one.resolve().is_relative_to(folder) for folder in resolved)]
+        folders += [
+            study for study in visited if not any(study.resolve().is_relative_to(folder) for folder in resolved)
+        ]
         self._search = SessionSearch(folders if whole else (), files, self.model.by_path if whole else {})
         self._whole = whole
         self._seen: set[Path] = set()
@@ -296,7 +298,7 @@ class Browser(QWidget):
         entries: list[SessionEntry] = []
         with suppress(Empty):
             while len(entries) < _AT_ONCE:
-                entries.append(self._search.found.get_nowait())
+                entries.append(self._search.entries.get_nowait())
         if entries:
             self._seen |= {entry.path for entry in entries}
             self.model.add(entries)
@@ -310,7 +312,7 @@ class Browser(QWidget):
     def _ended(self, search: SessionSearch) -> None:
         self._drain.stop()
         self._strip.clear()
-        while not search.found.empty():
+        while not search.entries.empty():
             self._take_found()
         if self._whole and not search.cancelled() and self._seen != set(self.model.by_path):
             self.model.show([entry for entry in self.model.entries if entry.path in self._seen])
@@ -321,11 +323,11 @@ class Browser(QWidget):
         if search.remarks:
             self._context.say(" ".join(search.remarks), problem=not search.cancelled())
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         self._drain.stop()
         self._strip.clear()
         self._search = None
-        self._context.say(words, problem=True)
+        self._context.say(message, problem=True)
 
     # -- what is shown --------------------------------------------------------------------------------------
 
@@ -339,13 +341,13 @@ class Browser(QWidget):
         bad = sum(bool(entry.problem) for entry in entries)
         shown = self.shown.rowCount()
         listed = len(entries) - bad
-        words = plural("{count} session", "{count} sessions", listed).format(count=grouped(listed))
+        text = plural("{count} session", "{count} sessions", listed).format(count=grouped(listed))
         if bad:
-            words += _(", {count} unreadable").format(count=grouped(bad))
+            text += _(", {count} unreadable").format(count=grouped(bad))
         if shown != len(entries):
-            words += _("; {count} shown").format(count=grouped(shown))
+            text += _("; {count} shown").format(count=grouped(shown))
         waits = self._all_wanted and self._context.busy
-        self.count.setText(self._context.unread if waits else words)
+        self.count.setText(self._context.unread if waits else text)
         empty = "" if entries or self._search is not None or self._all_wanted else _("No sessions in these folders.")
         if entries and not shown:
             empty = _("Nothing matches.")
@@ -356,7 +358,7 @@ class Browser(QWidget):
 
     def _tell_selected(self) -> None:
         chosen = self.chosen()
-        sessions = len({one.path for one in chosen})
+        sessions = len({test.path for test in chosen})
         tests = plural("{count} test", "{count} tests", len(chosen)).format(count=len(chosen))
         of = plural("{count} session", "{count} sessions", sessions).format(count=sessions)
         picked = Message("research.selected", "{tests} of {sessions} selected", tests=tests, sessions=of)
@@ -397,8 +399,8 @@ class Browser(QWidget):
         build.shortcut(self, QKeySequence.StandardKey.Refresh, self.look_again, in_window)
 
     def _find(self) -> None:
-        self.bar.words.setFocus()
-        self.bar.words.selectAll()
+        self.bar.search.setFocus()
+        self.bar.search.selectAll()
 
     def _open(self, index: QModelIndex) -> None:
         top = index.parent() if index.parent().isValid() else index

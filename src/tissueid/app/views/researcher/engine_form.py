@@ -113,8 +113,8 @@ class EngineForm(QWidget):
         self._stack.setUndoLimit(_UNDOABLE)
         engines = {name: engine_label(name) for name in engine_names()}
         self.engine = build.choice(engines, self._choose_engine, name=_("Identification engine"))
-        for place, name in enumerate(engines):
-            self.engine.setItemData(place, _about(name), Qt.ItemDataRole.ToolTipRole)
+        for index, name in enumerate(engines):
+            self.engine.setItemData(index, _about(name), Qt.ItemDataRole.ToolTipRole)
         self.about = build.label("field")
         self.input, self.output = _signals(_("Input"), INPUTS), _signals(_("Output"), OUTPUTS)
         self.together = build.styled(
@@ -157,9 +157,9 @@ class EngineForm(QWidget):
         Raises:
             UnusableInputError: one cannot be read, or they do not go together.
         """
-        found = {name: field.value() for name, field in self._fields.items()}
-        get_engine(self.name).from_options(found)
-        return found
+        options = {name: field.value() for name, field in self._fields.items()}
+        get_engine(self.name).from_options(options)
+        return options
 
     def field(self, name: str) -> OptionField:
         """Return the control of an option of the shown engine.
@@ -177,8 +177,8 @@ class EngineForm(QWidget):
         """
         kind = get_engine(engine)
         if options is not None:
-            known = {name: value for name, value in options.items() if name in kind.model_fields}
-            values = kind.from_options(known).options()
+            accepted = {name: value for name, value in options.items() if name in kind.model_fields}
+            values = kind.from_options(accepted).options()
             self._stack.push(_Change(self, engine, self._of(engine), values, "options"))
             return
         index = self.engine.findData(engine)
@@ -241,14 +241,14 @@ class EngineForm(QWidget):
     def _edited(self) -> None:
         """Record a change by the user as one undoable step."""
         try:
-            found = {name: field.value() for name, field in self._fields.items()}
+            values = {name: field.value() for name, field in self._fields.items()}
         except UnusableInputError:
             self._judge()
             return
         before = self._of(self.name)
-        changed = [name for name, value in found.items() if value != before.get(name)]
+        changed = [name for name, value in values.items() if value != before.get(name)]
         if changed:
-            self._stack.push(_Change(self, self.name, before, found, changed[0]))
+            self._stack.push(_Change(self, self.name, before, values, changed[0]))
 
     def _take_defaults(self) -> None:
         values = get_engine(self.name)().options()

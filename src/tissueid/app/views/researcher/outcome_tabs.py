@@ -77,7 +77,7 @@ class RecommendationView(QWidget):
         self._actions = {name: build.add_check(menu, engine_label(name), True, self._count) for name in engine_names()}
         self.save = button(_("Table…"), name=_("Save the recommendation"), tip=_("Save table and reasons as CSV"))
         self.headline = label("headline")
-        self.words = styled(
+        self.reasons = styled(
             QPlainTextEdit(), name=_("Reasons of the recommendation"), read_only=True, tab_changes_focus=True
         )
         self.standings = table([in_two_lines(_(name)) for name in COLUMNS], _("Engines by how well they do"))
@@ -85,7 +85,7 @@ class RecommendationView(QWidget):
         header = self.standings.horizontalHeader()
         header.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
         header.sectionResized.connect(self.standings.resizeRowsToContents)
-        parts = splitter((self.words, 2), (self.standings, 3), upright=True)
+        parts = splitter((self.reasons, 2), (self.standings, 3), upright=True)
         top = row(self.engines, (self.choice, 1), self.save)
         build.column(top, self.headline, (parts, 1), margins=(0, 6, 0, 0), parent=self)
         self._count()
@@ -98,9 +98,9 @@ class RecommendationView(QWidget):
 
     def take_compared(self, engines: Sequence[str]) -> None:
         """Select the engines to compare; unknown names are ignored, an empty selection means all."""
-        known = [name for name in engines if name in self._actions] or list(self._actions)
+        selected = [name for name in engines if name in self._actions] or list(self._actions)
         for name, action in self._actions.items():
-            action.setChecked(name in known)
+            action.setChecked(name in selected)
 
     def add(self, verdicts: Sequence[ComparisonSummary]) -> None:
         """Add summaries and show the first; a later summary of a test replaces the earlier one."""
@@ -128,14 +128,14 @@ class RecommendationView(QWidget):
             part.setVisible(verdict is not None)
         if verdict is None:
             self.headline.setText("")
-            self.words.setPlainText(_(_NOTHING))
+            self.reasons.setPlainText(_(_NOTHING))
             return
         self.headline.setText(verdict.headline)
         parts = [verdict.judged_on, *verdict.reasons]
         for title, lines in ((_("Caveats"), verdict.doubts), (_("Suggested tests"), verdict.experiments)):
             parts += ["", title, *lines] if lines else []
-        self.words.setPlainText("\n".join(parts))
-        best = [place for place, texts in enumerate(verdict.rows) if texts[_STATE] == _("recommended")]
+        self.reasons.setPlainText("\n".join(parts))
+        best = [index for index, texts in enumerate(verdict.rows) if texts[_STATE] == _("recommended")]
         fill_table(self.standings, verdict.rows, bold=best, right=_NUMBERS)
         self.standings.resizeRowsToContents()
 
@@ -181,9 +181,9 @@ class HistoryList(QWidget):
             _("{count} lines of the history could not be read and are passed over.").format(count=bad) if bad else ""
         )
         fill_table(self.table, [[text[:_LONGEST] for text in _texts(entry)] for entry in self._entries])
-        for place in range(len(_COLUMNS) - 1):
-            self.table.resizeColumnToContents(place)
-            self.table.setColumnWidth(place, min(240, self.table.columnWidth(place) + 6))
+        for index in range(len(_COLUMNS) - 1):
+            self.table.resizeColumnToContents(index)
+            self.table.setColumnWidth(index, min(240, self.table.columnWidth(index) + 6))
         self._settle()
 
     def add(self, entry: HistoryEntry) -> None:
@@ -227,12 +227,12 @@ def _changed(task: AnalysisTask) -> str:
     """Return the settings that differ from the defaults; all of them if the engine is not installed."""
     name = task.engines[0]
     options = changed_options(name, task.options) | task.preparation.changed
-    words = [plain_text(options)] if options else []
+    parts = [plain_text(options)] if options else []
     if (task.input_name, task.output_name) != ("force", "position"):
-        words.append(_("{input} to {output}").format(input=clean(task.input_name), output=clean(task.output_name)))
+        parts.append(_("{input} to {output}").format(input=clean(task.input_name), output=clean(task.output_name)))
     if task.together:
-        words.append(_("tests of a file together"))
-    return "; ".join(words) or _("default options")
+        parts.append(_("tests of a file together"))
+    return "; ".join(parts) or _("default options")
 
 
 SPREADS: Mapping[str, str] = {
@@ -313,13 +313,13 @@ class PopulationView(QWidget):
     @property
     def figure(self) -> PopulationFigure | None:
         """The shown plot as a figure for files; None if nothing is shown."""
-        found = self.shown
-        if found is None or not found.outcomes:
+        fits = self.shown
+        if fits is None or not fits.outcomes:
             return None
-        names = [f"{name}: {mean}" if name else mean for name, mean in zip(found.groups, _overall(found), strict=True)]
+        names = [f"{name}: {mean}" if name else mean for name, mean in zip(fits.groups, _overall(fits), strict=True)]
         title = f"{self.parameter.currentText()} {self.across.currentText()}"
         across, spread = str(self.across.currentData()), str(self.spread.currentData())
-        plot = population_plot(found, across, spread, [getattr(LIGHT, role) for role in SERIES], names)
+        plot = population_plot(fits, across, spread, [getattr(LIGHT, role) for role in SERIES], names)
         return PopulationFigure(title, plot, self.count.text())
 
     # -- choosing --------------------------------------------------------------------------------------------
@@ -335,7 +335,7 @@ class PopulationView(QWidget):
         offer(self.engine, {"": _("Fits of all engines")} | {variant: variant for variant in variants})
         names = {name: _heading(name) for name in parameters_of(self._outcomes)}
         offer(self.parameter, names, self._wanted)
-        offer(self.across, {key: _(words) for key, words in ACROSS.items()} | names)
+        offer(self.across, {key: _(title) for key, title in ACROSS.items()} | names)
         self._show()
 
     # -- drawing ---------------------------------------------------------------------------------------------
@@ -349,74 +349,74 @@ class PopulationView(QWidget):
             self.key.setText("")
             self.count.setText("")
             return
-        found = population(self._wanted_fits(), parameter, across, str(self.group.currentData()), len(SERIES))
-        self.shown = found
-        if found.outcomes:
+        fits = population(self._wanted_fits(), parameter, across, str(self.group.currentData()), len(SERIES))
+        self.shown = fits
+        if fits.outcomes:
             spread = str(self.spread.currentData())
-            plot = population_plot(found, across, spread, SERIES, [""] * len(SERIES))
+            plot = population_plot(fits, across, spread, SERIES, [""] * len(SERIES))
             note = _("Click on a point: its test is named below. A double click selects it in the table")
-            self.card.show_plots([replace(self._with_room(plot, found), note=note)], key=False)
+            self.card.show_plots([replace(self._with_room(plot, fits), note=note)], key=False)
         else:
             self.card.say_missing(_("No fit has this parameter."))
-        self._say(found)
+        self._say(fits)
 
     def _wanted_fits(self) -> list[EngineOutcome]:
         """Return the fits of the selected engine and options."""
         wanted = self.engine.currentData()
         return [outcome for outcome in self._outcomes if not wanted or variant_of(outcome) == wanted]
 
-    def _with_room(self, plot: Plot, found: Population) -> Plot:
+    def _with_room(self, plot: Plot, fits: Population) -> Plot:
         """Return the plot with as many names of categories as stand side by side."""
-        if not found.places:
+        if not fits.places:
             return plot
-        width = max(len(name[:_LONGEST_TICK]) for name in found.places) * _TICK_PX
-        step = max(1, math.ceil(width * len(found.places) / max(200, self.card.width() - 80)))
-        ticks = tuple((place, Verbatim(name[:_LONGEST_TICK])) for place, name in plot.x.ticks[::step])
+        width = max(len(name[:_LONGEST_TICK]) for name in fits.places) * _TICK_PX
+        step = max(1, math.ceil(width * len(fits.places) / max(200, self.card.width() - 80)))
+        ticks = tuple((position, Verbatim(name[:_LONGEST_TICK])) for position, name in plot.x.ticks[::step])
         return replace(plot, x=replace(plot.x, ticks=ticks))
 
-    def _say(self, found: Population) -> None:
+    def _say(self, fits: Population) -> None:
         total = len(self._wanted_fits())
-        words = plural("{drawn} of {count} fit drawn", "{drawn} of {count} fits drawn", total).format(
-            drawn=grouped(len(found.outcomes)), count=grouped(total)
+        text = plural("{drawn} of {count} fit drawn", "{drawn} of {count} fits drawn", total).format(
+            drawn=grouped(len(fits.outcomes)), count=grouped(total)
         )
-        of_tests = plural("of {count} test", "of {count} tests", found.tests).format(count=grouped(found.tests))
-        reasons = [f"{grouped(count)} {why}" for why, count in found.left_out.items()]
-        variants = list(dict.fromkeys(variant_of(outcome) for outcome in found.outcomes))
-        self.count.setText("; ".join([f"{words} {of_tests}", *reasons, *variants]))
+        of_tests = plural("of {count} test", "of {count} tests", fits.tests).format(count=grouped(fits.tests))
+        reasons = [f"{grouped(count)} {why}" for why, count in fits.left_out.items()]
+        variants = list(dict.fromkeys(variant_of(outcome) for outcome in fits.outcomes))
+        self.count.setText("; ".join([f"{text} {of_tests}", *reasons, *variants]))
         theme = appearance.theme
-        overall = _overall(found)
+        overall = _overall(fits)
         entries = []
-        for place, name in enumerate(found.groups[:_MOST_NAMED]):
-            words = f"{name}: {overall[place]}" if name else overall[place]
-            square = f'<span style="color:{getattr(theme, SERIES[place])}">■</span>&nbsp;'
-            entries.append(f"<nobr>{square}{html.escape(words)}</nobr>")
+        for index, name in enumerate(fits.groups[:_MOST_NAMED]):
+            text = f"{name}: {overall[index]}" if name else overall[index]
+            square = f'<span style="color:{getattr(theme, SERIES[index])}">■</span>&nbsp;'
+            entries.append(f"<nobr>{square}{html.escape(text)}</nobr>")
         self.key.setText(" &nbsp; ".join(entries))
 
     # -- pointing --------------------------------------------------------------------------------------------
 
     def _clicked(self, at: Point, double: bool) -> bool:
-        found = self._at(at)
-        if found:
-            self.name(found)
+        outcomes = self._at(at)
+        if outcomes:
+            self.name(outcomes)
             if double:
-                self.wanted.emit(found)
-        return bool(found)
+                self.wanted.emit(outcomes)
+        return bool(outcomes)
 
     def _at(self, at: Point) -> list[EngineOutcome]:
         """Return the fit at a place on the canvas, or all fits of a bar of the histogram."""
-        found = self.shown
-        if found is None or not found.outcomes:
+        fits = self.shown
+        if fits is None or not fits.outcomes:
             return []
         if self.across.currentData() == DISTRIBUTION:
-            edges, (x, y) = found.edges, self.card.values(at)
+            edges, (x, y) = fits.edges, self.card.values(at)
             if not edges[0] <= x <= edges[-1] or y < 0.0:
                 return []
-            bins = np.clip(np.searchsorted(edges, found.y, "right") - 1, 0, edges.size - 2)
+            bins = np.clip(np.searchsorted(edges, fits.y, "right") - 1, 0, edges.size - 2)
             bin_there = min(int(np.searchsorted(edges, x, "right")) - 1, edges.size - 2)
-            return [found.outcomes[place] for place in np.flatnonzero(bins == bin_there)]
-        away = np.hypot(*(self.card.pixels(found.x, found.y) - at).T)
+            return [fits.outcomes[index] for index in np.flatnonzero(bins == bin_there)]
+        away = np.hypot(*(self.card.pixels(fits.x, fits.y) - at).T)
         nearest = int(np.argmin(away))
-        return [found.outcomes[nearest]] if away[nearest] <= _REACH_PX else []
+        return [fits.outcomes[nearest]] if away[nearest] <= _REACH_PX else []
 
     def name(self, outcomes: Sequence[EngineOutcome]) -> None:
         """Show the label and value of a fit, or the number of fits."""
@@ -431,12 +431,12 @@ class PopulationView(QWidget):
         return f"{outcome.label}: {_figure(parameter, estimate)}" if estimate is not None else outcome.label
 
     def _tip(self, at: Point) -> str:
-        found = self._at(at) if self.across.currentData() != DISTRIBUTION else []
-        return self._words(found[0]) if found else ""
+        outcomes = self._at(at) if self.across.currentData() != DISTRIBUTION else []
+        return self._words(outcomes[0]) if outcomes else ""
 
 
 def _choice(name: str, entries: Mapping[str, str] = MappingProxyType({})) -> QComboBox:
-    return choice({key: _(words) for key, words in entries.items()}, characters=_CHARACTERS, name=name, tip=name)
+    return choice({key: _(title) for key, title in entries.items()}, characters=_CHARACTERS, name=name, tip=name)
 
 
 def _heading(parameter: str) -> str:
@@ -446,16 +446,16 @@ def _heading(parameter: str) -> str:
     return axis_label(parameter, shown(display_unit(label_and_unit(parameter)[1])[0])[0])
 
 
-def _overall(found: Population) -> list[str]:
+def _overall(fits: Population) -> list[str]:
     """Mean ± standard deviation and number of fits of every group, over all places."""
-    factor = shown(found.unit)[1]
-    words = []
-    for place in range(len(found.groups)):
-        some = factor * found.y[found.group == place]
+    factor = shown(fits.unit)[1]
+    means = []
+    for index in range(len(fits.groups)):
+        some = factor * fits.y[fits.group == index]
         std = float(np.std(some, ddof=1)) if some.size > 1 else None
-        text = with_unit(plus_minus(Estimate(float(some.mean()), std)), shown(found.unit)[0])
-        words.append(_("{mean} (n = {count})").format(mean=text, count=grouped(some.size)))
-    return words
+        text = with_unit(plus_minus(Estimate(float(some.mean()), std)), shown(fits.unit)[0])
+        means.append(_("{mean} (n = {count})").format(mean=text, count=grouped(some.size)))
+    return means
 
 
 def _figure(parameter: str, estimate: Estimate) -> str:

@@ -158,10 +158,10 @@ class PopulationFigure:
 
 
 def _draw_legend(figure: Figure, axes: Axes, common: str, labels: Sequence[str]) -> None:
-    handles, words = axes.get_legend_handles_labels()
-    if any(words):
+    handles, names = axes.get_legend_handles_labels()
+    if any(names):
         columns = 1 if max(map(len, labels)) > _LONG else 2
-        figure.legend(handles, words, title=_legible(common), loc="outside lower center", ncols=columns)
+        figure.legend(handles, names, title=_legible(common), loc="outside lower center", ncols=columns)
 
 
 def _legible(text: str) -> str:
@@ -200,14 +200,14 @@ class KernelPlot(QWidget):
     @property
     def plot(self) -> Plot | None:
         """The shown kernel."""
-        place = self.choice.currentIndex()
-        return self._plots[place] if 0 <= place < len(self._plots) else None
+        index = self.choice.currentIndex()
+        return self._plots[index] if 0 <= index < len(self._plots) else None
 
     @property
     def side_by_side(self) -> tuple[Plot, ...]:
         """The kernels that are shown side by side; empty where one is shown."""
-        place = self.choice.currentIndex() - len(self._plots)
-        return self._groups[place] if 0 <= place < len(self._groups) else ()
+        index = self.choice.currentIndex() - len(self._plots)
+        return self._groups[index] if 0 <= index < len(self._groups) else ()
 
     @property
     def turned(self) -> bool:
@@ -391,21 +391,21 @@ class Pictures(QWidget):
         every = [[outcome.plots.panels[panel] for outcome in self._drawn] for panel in panels]
         below = [self._under[panel].name for panel in panels if panel in self._under][:1]
         # The key says what else is drawn: measurements, and faint curves.
-        words = [_(name) for name in below]
+        notes = [_(name) for name in below]
         named = (text for plots in every for plot in plots for c in plot.curves for text in (c.name, c.band) if text)
-        words += dict.fromkeys(_(text) for text in named)
+        notes += dict.fromkeys(_(text) for text in named)
         for plots in every:
             without = sum(not plot.parts for plot in plots)
             if 0 < without < len(plots):
                 text = _("{without} of {count} have none").format(without=without, count=len(plots))
-                words.append(f"{translated(plots[0].title)}: {text}")
+                notes.append(f"{translated(plots[0].title)}: {text}")
         if len(self._drawn) < self._total:
-            words.append(
+            notes.append(
                 _("{drawn} of {count} drawn: select which in the table").format(
                     drawn=len(self._drawn), count=self._total
                 )
             )
-        entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
+        entries += [f'<span style="color:{theme.muted}">{note}</span>' for note in notes]
         self.legend.setText(" &nbsp;&nbsp; ".join(entries))
         self.legend.setMinimumHeight(0)  # what the text needs must be asked without the former bounds
         self.legend.setMaximumHeight(_ANY)
@@ -429,12 +429,12 @@ def _scores(outcome: EngineOutcome) -> str:
     """Return the VAF on held-out data, and that of the simulation scheduled by measured depth if there is one."""
     report = outcome.report
     assert report is not None
-    words = _("VAF {vaf} %").format(vaf=fixed(report.vaf_validation_percent, 1))
+    score = _("VAF {vaf} %").format(vaf=fixed(report.vaf_validation_percent, 1))
     scheduled = report.vaf_scheduled_percent
     return (
-        words
+        score
         if scheduled is None
-        else _("{vaf} (scheduled {scheduled} %)").format(vaf=words, scheduled=fixed(scheduled, 1))
+        else _("{vaf} (scheduled {scheduled} %)").format(vaf=score, scheduled=fixed(scheduled, 1))
     )
 
 

@@ -56,8 +56,8 @@ class RecordedSignal:
     def __init__(self, values: Array, sample_rate_hz: float) -> None:
         self.values = np.where(np.isfinite(values), values, np.nan)
         self.sample_rate_hz = sample_rate_hz
-        known = np.isfinite(self.values)
-        self._middle = float(self.values[known].mean()) if known.any() else 0.0
+        finite = np.isfinite(self.values)
+        self._middle = float(self.values[finite].mean()) if finite.any() else 0.0
         padding = np.full(-self.values.size % _BLOCK, np.nan)
         whole = np.concatenate([self.values, padding]).reshape(-1, _BLOCK)  # (blocks, _BLOCK)
         self._low, self._high = np.fmin.reduce(whole, axis=1), np.fmax.reduce(whole, axis=1)
@@ -149,22 +149,22 @@ class LoadedTest:
 
 
 class SignalLoading(BackgroundWork):
-    """Loads tests; those in ``known`` are reused. Errors are added to ``problems``."""
+    """Loads tests; those in ``previous`` are reused. Errors are added to ``problems``."""
 
-    def __init__(self, chosen: Sequence[SelectedTest], known: Mapping[SelectedTest, LoadedTest]) -> None:
+    def __init__(self, chosen: Sequence[SelectedTest], previous: Mapping[SelectedTest, LoadedTest]) -> None:
         super().__init__(plural("Reading {count} test", "Reading {count} tests", len(chosen)).format(count=len(chosen)))
         self.loaded: list[LoadedTest] = []
         self.problems: list[str] = []
         self._chosen = tuple(chosen)
-        self._known = dict(known)
+        self._previous = dict(previous)
 
     def run(self) -> SignalLoading:
         """Load the tests."""
         numbers = 0
         try:
-            for done, one in enumerate(self._chosen):
+            for done, selected in enumerate(self._chosen):
                 self.tell(done / len(self._chosen))
-                if (loaded := self._known.get(one) or self._load(one)) is None:
+                if (loaded := self._previous.get(selected) or self._load(selected)) is None:
                     continue
                 numbers += sum(track.values.size for track in loaded.tracks.values())
                 if self.loaded and numbers > _MOST_NUMBERS:
@@ -179,9 +179,9 @@ class SignalLoading(BackgroundWork):
             pass  # what is read is shown
         return self
 
-    def _load(self, one: SelectedTest) -> LoadedTest | None:
+    def _load(self, selected: SelectedTest) -> LoadedTest | None:
         try:
-            test = read_test(one.path, one.number)
+            test = read_test(selected.path, selected.number)
         except (TissueIDError, OSError) as error:
             self.problems.append(in_words(error))
             return None
@@ -190,7 +190,7 @@ class SignalLoading(BackgroundWork):
             for name, values in test.signals.items()
             if name != "time"
         }
-        return LoadedTest(one, test.preload_s, tracks)
+        return LoadedTest(selected, test.preload_s, tracks)
 
 
 class SpectrumCard(QWidget):
@@ -321,11 +321,11 @@ class PlotStack(QWidget):
         self._whole = 0.0, max((test.seconds for test in self._loaded), default=1.0)
         while len(self._plots) < len(self._channels):
             self._add()
-        for place, plot in enumerate(self._plots):
-            used = place < len(self._channels)
+        for index, plot in enumerate(self._plots):
+            used = index < len(self._channels)
             plot.card.setVisible(used)
             if used:
-                plot.show_channel(self._channels[place], self._loaded)
+                plot.show_channel(self._channels[index], self._loaded)
         self._axis.setVisible(bool(self._channels))
         inside = self.brush is not None and self.brush[1] <= self._whole[1]
         if self.brush is not None and inside and self._source in self._plots[: len(self._channels)]:
@@ -355,10 +355,10 @@ class PlotStack(QWidget):
         for plot in self._plots:
             plot.paint()
 
-    def bring_forward(self, place: int) -> None:
+    def bring_forward(self, index: int) -> None:
         """Draw a test over the others."""
         for plot in self._plots:
-            plot.bring_forward(place)
+            plot.bring_forward(index)
 
     def draw(self) -> None:
         """Draw the current views."""
@@ -487,10 +487,10 @@ class _Plot:
             self._preload.setToolTip(_("The preload ends here"))
         self._drawn = None
 
-    def bring_forward(self, place: int) -> None:
+    def bring_forward(self, index: int) -> None:
         """Draw a test over the others."""
         for number, curve in enumerate(self._curves):
-            curve.setZValue(1 if number == place else 0)
+            curve.setZValue(1 if number == index else 0)
 
     def draw(self, loaded: Sequence[LoadedTest], brush: tuple[float, float] | None) -> None:
         """Draw the view; ``brush`` is the shaded interval or None."""
@@ -504,8 +504,8 @@ class _Plot:
         self._drawn = self.view, columns
         scale = display_unit(self._channel.unit)[1]
         low, high = math.inf, -math.inf
-        for place, curve in enumerate(self._curves):
-            track = loaded[place].tracks.get(self._channel) if place < len(loaded) else None
+        for index, curve in enumerate(self._curves):
+            track = loaded[index].tracks.get(self._channel) if index < len(loaded) else None
             if track is None:
                 curve.setData(_NOTHING, _NOTHING)
                 continue

@@ -156,7 +156,7 @@ def population(
     places: tuple[str, ...] = ()
     if across in (SUBJECT, SITE):
         places = tuple(sorted(set(names)))
-        rank = {name: place for place, name in enumerate(places)}
+        rank = {name: index for index, name in enumerate(places)}
         x_values = np.array([rank[name] for name in names], dtype=np.float64)
     elif across == REPEAT:
         places = tuple(str(number) for number in range(1, int(max(xs, default=0)) + 1))
@@ -181,36 +181,36 @@ def population(
     )
 
 
-def population_plot(found: Population, across: str, spread: str, colours: Sequence[str], names: Sequence[str]) -> Plot:
+def population_plot(fits: Population, across: str, spread: str, colours: Sequence[str], names: Sequence[str]) -> Plot:
     """Return the points of a population and the means of its groups, or its histogram.
 
     Args:
-        found: the population.
+        fits: the population.
         across: what it is drawn against.
         spread: the error bars: "std", "interval", or "" for no means.
         colours: colour of each group.
         names: name of each group in the key.
     """
-    parameter = Axis(found.title, found.unit)
-    masks = [found.group == place for place in range(len(found.groups))]
+    parameter = Axis(fits.title, fits.unit)
+    masks = [fits.group == index for index in range(len(fits.groups))]
     if across == DISTRIBUTION:
-        groups = [found.y[mask] for mask in masks]
-        return histogram_plot((parameter, Axis(found.counted)), groups, found.edges, colours, names)
+        groups = [fits.y[mask] for mask in masks]
+        return histogram_plot((parameter, Axis(fits.counted)), groups, fits.edges, colours, names)
     centres = [
         Centre(mean.group, mean.x, mean.y, mean.std if spread == "std" else mean.half_interval)
-        for mean in (found.means if spread else ())
+        for mean in (fits.means if spread else ())
     ]
-    points = [(found.x[mask], found.y[mask]) for mask in masks]
-    label, unit = label_and_unit(across) if across not in (*ACROSS, *SCORES) else (found.x_label, "")
-    x = Axis(label, display_unit(unit)[0], ticks=_ticks(found, across))
+    points = [(fits.x[mask], fits.y[mask]) for mask in masks]
+    label, unit = label_and_unit(across) if across not in (*ACROSS, *SCORES) else (fits.x_label, "")
+    x = Axis(label, display_unit(unit)[0], ticks=_ticks(fits, across))
     return points_plot((x, parameter), points, colours, names, centres)
 
 
-def _ticks(found: Population, across: str) -> tuple[tuple[float, str], ...]:
+def _ticks(fits: Population, across: str) -> tuple[tuple[float, str], ...]:
     """Return the names of categories, or some dates."""
-    if across != DATE or not found.x.size:
-        return tuple((float(place), Verbatim(name)) for place, name in enumerate(found.places))
-    low, high = float(found.x.min()), float(found.x.max())
+    if across != DATE or not fits.x.size:
+        return tuple((float(position), Verbatim(name)) for position, name in enumerate(fits.places))
+    low, high = float(fits.x.min()), float(fits.x.max())
     times = np.linspace(low, high, _MOST_DATES) if high > low else np.array([low])
     named = {day(float(time)): float(time) for time in times}
     return tuple((time, name) for name, time in named.items())
@@ -227,8 +227,8 @@ def _labelled(parameter: str) -> str:
 
 
 def _value(outcome: EngineOutcome, parameter: str) -> float:
-    found = estimate_of(outcome, parameter)
-    return math.nan if found is None else found.value * display_unit(_titled(parameter)[1])[1]
+    estimate = estimate_of(outcome, parameter)
+    return math.nan if estimate is None else estimate.value * display_unit(_titled(parameter)[1])[1]
 
 
 def _why_not(outcome: EngineOutcome, y: float, x: float) -> str:
@@ -278,10 +278,10 @@ def _groups(names: Sequence[str], most: int) -> tuple[tuple[str, ...], np.ndarra
     every = sorted(counts)
     if len(every) > most:
         large = sorted(name for name, _count in counts.most_common(most - 1))
-        rank = {name: place for place, name in enumerate(large)}
+        rank = {name: index for index, name in enumerate(large)}
         groups = (*large, _("{count} others").format(count=len(every) - len(large)))
         return groups, np.array([rank.get(name, most - 1) for name in names], dtype=np.intp)
-    rank = {name: place for place, name in enumerate(every)}
+    rank = {name: index for index, name in enumerate(every)}
     return tuple(every), np.array([rank[name] for name in names], dtype=np.intp)
 
 
@@ -294,9 +294,9 @@ def _repeats(outcomes: Sequence[EngineOutcome]) -> dict[tuple[object, int], int]
         at: object = test.path.parent if when is None else _local_day(when)
         sittings[test.pseudonym, test.site, at].add((when or 0.0, str(test.path), test.number, test.path))
     return {
-        (path, number): place
+        (path, number): repeat
         for sitting in sittings.values()
-        for place, (_when, _name, number, path) in enumerate(sorted(sitting, key=lambda one: one[:3]), 1)
+        for repeat, (_when, _name, number, path) in enumerate(sorted(sitting, key=lambda entry: entry[:3]), 1)
     }
 
 

@@ -127,7 +127,7 @@ class ResultsTable(QTableView):
 
     def colour(self, drawn: Sequence[EngineOutcome]) -> None:
         """Mark the drawn results with their colours, in the order of ``SERIES``."""
-        self._model.colour({id(outcome): place for place, outcome in enumerate(drawn)})
+        self._model.colour({id(outcome): index for index, outcome in enumerate(drawn)})
 
     def take_units(self) -> None:
         """Show the values in the active unit system."""
@@ -159,8 +159,8 @@ class ResultsTable(QTableView):
         count = self._sorted.columnCount()
         order = [0, _HELD_OUT, *answer, _TEST, *range(count - len(_LAST), count)]
         order += [column for column in range(self._sorted.columnCount()) if column not in order]
-        for place, column in enumerate(order if self._model.outcomes else ()):
-            header.moveSection(header.visualIndex(column), place)
+        for position, column in enumerate(order if self._model.outcomes else ()):
+            header.moveSection(header.visualIndex(column), position)
         for column in range(self._sorted.columnCount()):
             most = _ENGINE_WIDTH if column == 0 else _WIDEST
             width = max(self._head_width(column), self.sizeHintForColumn(column) + _PADDING // 2)
@@ -244,8 +244,8 @@ class _Results(QAbstractTableModel):
         if role == Qt.ItemDataRole.ToolTipRole:
             return _tool_tip(outcome) if self._is_text(column) else None
         if role == Qt.ItemDataRole.DecorationRole and column == 0:
-            place = self._colours.get(id(outcome))
-            return None if place is None else _square(getattr(appearance.theme, SERIES[place % len(SERIES)]))
+            series = self._colours.get(id(outcome))
+            return None if series is None else _square(getattr(appearance.theme, SERIES[series % len(SERIES)]))
         if role == Qt.ItemDataRole.TextAlignmentRole and not self._is_text(column):
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         if role == Qt.ItemDataRole.ForegroundRole:
@@ -274,8 +274,8 @@ class _Results(QAbstractTableModel):
         if column < len(_FIXED):
             return fixed(report.vaf_percent if column == 2 else report.vaf_validation_percent, 2)
         name = self.parameters[column - len(_FIXED)]
-        found = report.reportable_parameters.get(name)
-        return MISSING if found is None else plus_minus(found, shown_si(label_and_unit(name)[1])[1])
+        estimate = report.reportable_parameters.get(name)
+        return MISSING if estimate is None else plus_minus(estimate, shown_si(label_and_unit(name)[1])[1])
 
     def _sorted_by(self, outcome: EngineOutcome, column: int) -> str | float:
         report = outcome.report
@@ -286,14 +286,14 @@ class _Results(QAbstractTableModel):
         if column < len(_FIXED):
             value = report.vaf_percent if column == 2 else report.vaf_validation_percent
             return float("-inf") if value is None else value
-        found = report.reportable_parameters.get(self.parameters[column - len(_FIXED)])
-        return float("-inf") if found is None else found.value
+        estimate = report.reportable_parameters.get(self.parameters[column - len(_FIXED)])
+        return float("-inf") if estimate is None else estimate.value
 
 
 def in_two_lines(head: str) -> str:
     """Return a heading broken into two short lines."""
-    words = head.split()
-    parted = [(" ".join(words[:place]), " ".join(words[place:])) for place in range(1, len(words))]
+    parts = head.split()
+    parted = [(" ".join(parts[:split]), " ".join(parts[split:])) for split in range(1, len(parts))]
     return "\n".join(min(parted, key=lambda lines: max(map(len, lines)))) if parted else head
 
 
@@ -342,8 +342,8 @@ def _plain_row(outcome: EngineOutcome, names: Sequence[str]) -> list[str]:
     row += [_bare(report.vaf_percent), _bare(report.vaf_validation_percent), outcome.validated_on]
     row += [_bare(report.aicc), _bare(report.seconds)]
     for name in names:
-        found = report.reportable_parameters.get(name)
-        row += ["", ""] if found is None else [_bare(found.value), _bare(found.std)]
+        estimate = report.reportable_parameters.get(name)
+        row += ["", ""] if estimate is None else [_bare(estimate.value), _bare(estimate.std)]
     return [*row, ""]
 
 

@@ -109,18 +109,18 @@ class SaveDialog(QObject):
 
     def _ask(self, title: str, kinds: Mapping[str, str], name: str, folder: Path | None = None) -> None:
         where, endings = folder or self._context.services.folder, list(kinds)
-        words = {_(text): ending for ending, text in kinds.items()}
+        filters = {_(text): ending for ending, text in kinds.items()}
         dialog = build.ask_path(
             self._over,
             title,
             where,
             self._chosen,
-            ";;".join(words),
+            ";;".join(filters),
             save=free_name(where, name, endings[0]),
             option=QFileDialog.Option.DontConfirmOverwrite,  # asked here, the same way on every system
             default_suffix=endings[0][1:],
         )
-        dialog.filterSelected.connect(functools.partial(_take_ending, dialog, words))
+        dialog.filterSelected.connect(functools.partial(_take_ending, dialog, filters))
 
     def _chosen(self, path: Path) -> None:
         self._path = path
@@ -152,13 +152,13 @@ class SaveDialog(QObject):
     def _written(self, path: Path) -> None:
         self._context.say(_("Saved in {path}.").format(path=path))
 
-    def _failed(self, words: str) -> None:
-        self._context.say(words, problem=True)
+    def _failed(self, message: str) -> None:
+        self._context.say(message, problem=True)
 
 
-def _take_ending(dialog: QFileDialog, words: Mapping[str, str], kind: str) -> None:
+def _take_ending(dialog: QFileDialog, filters: Mapping[str, str], kind: str) -> None:
     """Set the suffix of the file name to that of the selected filter."""
-    ending = words.get(kind, "")
+    ending = filters.get(kind, "")
     dialog.setDefaultSuffix(ending[1:])
     for name in dialog.selectedFiles()[:1]:
         path = Path(name)

@@ -102,17 +102,17 @@ def distinguishing_labels(groups: Sequence[Sequence[SelectedTest]]) -> tuple[str
     if len(distinct) < 2:
         return "", [_joined(name[:-2]) or name[-2] for name in names]
     usual = range(len(distinct[0]) - 2)
-    differing = [place for place in usual if len({name[place] for name in distinct}) > 1]
+    differing = [index for index in usual if len({name[index] for name in distinct}) > 1]
     for more in range(len(usual), len(distinct[0])):
         if max(Counter(_of(name, differing) for name in distinct).values()) < 2:
             break
         differing.append(more)
-    common = _joined(distinct[0][place] for place in usual if place not in differing)
+    common = _joined(distinct[0][index] for index in usual if index not in differing)
     return common, [_joined(_of(name, differing)) for name in names]
 
 
 def _of(name: tuple[str, ...], places: Sequence[int]) -> tuple[str, ...]:
-    return tuple(name[place] for place in places)
+    return tuple(name[index] for index in places)
 
 
 def _parts(group: Sequence[SelectedTest]) -> tuple[str, ...]:

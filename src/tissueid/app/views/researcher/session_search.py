@@ -67,8 +67,8 @@ def entry_of(path: Path, stamp: Stamp) -> SessionEntry:
     try:
         outline = read_outline(path)
     except TissueIDError as error:
-        words = translated(error.message).removeprefix(str(path)).strip(" :").removeprefix("is ")
-        return SessionEntry(path, stamp, words[:_LONGEST])
+        problem = translated(error.message).removeprefix(str(path)).strip(" :").removeprefix("is ")
+        return SessionEntry(path, stamp, problem[:_LONGEST])
     except OSError as error:
         return SessionEntry(path, stamp, in_words(error)[:_LONGEST])
     tests = tuple(_test_entry(test) for test in outline.tests)
@@ -90,21 +90,21 @@ def _test_entry(outline: TestOutline) -> TestEntry:
 
 
 class SessionSearch(BackgroundWork):
-    """Search of folders and single files. ``found`` receives every entry when it is read.
+    """Search of folders and single files. ``entries`` receives every entry when it is read.
 
-    What ``known`` has is not read again while its file is as it was. Links are not followed.
+    What ``previous`` has is not read again while its file is as it was. Links are not followed.
     """
 
     walk_s = 0.3
     """Longest time of a walk before the files that it has listed are read, s; chosen to be hardly noticed."""
 
-    def __init__(self, folders: Sequence[Path], files: Sequence[Path], known: Mapping[Path, SessionEntry]) -> None:
+    def __init__(self, folders: Sequence[Path], files: Sequence[Path], previous: Mapping[Path, SessionEntry]) -> None:
         super().__init__(_("Looking for sessions"))
-        self.found: SimpleQueue[SessionEntry] = SimpleQueue()
+        self.entries: SimpleQueue[SessionEntry] = SimpleQueue()
         self.remarks: list[str] = []
         self._folders = tuple(folders)
         self._files = tuple(files)
-        self._known = dict(known)
+        self._previous = dict(previous)
 
     def run(self) -> SessionSearch:
         """Search; a cancelled search keeps what it has found."""
@@ -113,7 +113,7 @@ class SessionSearch(BackgroundWork):
             for batch in self._batches():
                 fresh = [path for path in dict.fromkeys(batch) if path not in read]
                 read.update(fresh)
-                self.words = _("Reading {count} files").format(count=len(read))
+                self.label = _("Reading {count} files").format(count=len(read))
                 for done, path in enumerate(fresh):
                     self.tell(done / len(fresh))
                     self._look_at(path)
@@ -138,8 +138,8 @@ class SessionSearch(BackgroundWork):
         except OSError:
             return  # gone since it was listed
         stamp = now.st_mtime_ns, now.st_size
-        known = self._known.get(path)
-        self.found.put(known if known is not None and known.stamp == stamp else entry_of(path, stamp))
+        entry = self._previous.get(path)
+        self.entries.put(entry if entry is not None and entry.stamp == stamp else entry_of(path, stamp))
 
     def _listed(self) -> Iterator[Path]:
         count = 0

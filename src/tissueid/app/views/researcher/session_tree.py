@@ -155,7 +155,7 @@ class SessionModel(QAbstractItemModel):
         if role == SORT:
             return row.keys[column]
         if role == WORDS:
-            return row.words
+            return row.search_text
         if role == ITEM:
             return row.item
         if role == Qt.ItemDataRole.ToolTipRole:
@@ -177,7 +177,7 @@ class SessionModel(QAbstractItemModel):
 class _Row:
     """Texts and sort keys of a row."""
 
-    __slots__ = ("hint", "item", "keys", "problem", "texts", "verdict", "words")
+    __slots__ = ("hint", "item", "keys", "problem", "search_text", "texts", "verdict")
 
     def __init__(
         self,
@@ -194,7 +194,7 @@ class _Row:
         self.verdict = verdict
         self.problem = isinstance(item, SessionEntry) and bool(item.problem)
         self.hint = f"{item.path}\n{item.problem}" if isinstance(item, SessionEntry) and item.problem else ""
-        self.words = " ".join([*texts, more]).casefold()
+        self.search_text = " ".join([*texts, more]).casefold()
 
 
 def _session_row(entry: SessionEntry) -> _Row:
@@ -268,9 +268,9 @@ class SessionFilter(QSortFilterProxyModel):
         self.setSortRole(SORT)
         self.sort(DATE, Qt.SortOrder.DescendingOrder)
 
-    def ask(self, words: str, subject: str, site: str, kind: str) -> None:
+    def ask(self, search: str, subject: str, site: str, kind: str) -> None:
         """Set the search words and filters; "" is no filter."""
-        asked = tuple(words.casefold().split()), subject, site, kind
+        asked = tuple(search.casefold().split()), subject, site, kind
         if asked != (self._words, self._subject, self._site, self._kind):
             self._words, self._subject, self._site, self._kind = asked
             self.invalidateFilter()
@@ -289,8 +289,8 @@ class SessionFilter(QSortFilterProxyModel):
             return bare and self._has_words(model.data(index, WORDS))
         tests = range(model.rowCount(index))
         return any(
-            self._wants(item, test, model.data(model.index(place, DATE, index), WORDS))
-            for place, test in zip(tests, item.tests, strict=True)
+            self._wants(item, test, model.data(model.index(test_row, DATE, index), WORDS))
+            for test_row, test in zip(tests, item.tests, strict=True)
         )
 
     def shown(self) -> Iterator[tuple[QModelIndex, SessionEntry]]:
@@ -299,16 +299,16 @@ class SessionFilter(QSortFilterProxyModel):
             index = self.index(row, DATE)
             yield index, self.data(index, ITEM)
 
-    def _wants(self, entry: SessionEntry, test: TestEntry, words: str) -> bool:
+    def _wants(self, entry: SessionEntry, test: TestEntry, text: str) -> bool:
         return (
             self._subject in ("", entry.pseudonym)
             and self._site in ("", test.site)
             and self._kind in ("", test.kind)
-            and self._has_words(words)
+            and self._has_words(text)
         )
 
-    def _has_words(self, words: str) -> bool:
-        return all(word in words for word in self._words)
+    def _has_words(self, text: str) -> bool:
+        return all(word in text for word in self._words)
 
 
 _FOLDED = (FILE, CONFIGURATION, KIND, DURATION, TESTS)
@@ -405,8 +405,8 @@ class SessionTree(QTreeView):
             build.add_check(menu, title, column not in self._unwanted, functools.partial(self._want, column))
         return menu
 
-    def _offer_columns(self, place: QPoint) -> None:
-        self.columns_menu().popup(self.header().mapToGlobal(place))
+    def _offer_columns(self, position: QPoint) -> None:
+        self.columns_menu().popup(self.header().mapToGlobal(position))
 
     def _want(self, column: int, _wanted: bool) -> None:
         self._unwanted ^= {column}
@@ -420,9 +420,9 @@ class SessionTree(QTreeView):
             return
         super().keyPressEvent(event)
 
-    def say_empty(self, words: str) -> None:
+    def say_empty(self, text: str) -> None:
         """Set the text of the empty list."""
-        self._empty = words
+        self._empty = text
         self.viewport().update()
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802

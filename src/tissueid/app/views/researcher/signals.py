@@ -324,12 +324,12 @@ class SignalsPanel(QWidget):
         if reading.problems:
             self._context.say(" ".join(reading.problems), problem=True)
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         self._strip.clear()
         self._reading = None
         self.loaded = []
         self._redraw()
-        self._context.say(words, problem=True)
+        self._context.say(message, problem=True)
 
     # -- showing --------------------------------------------------------------------------------------------
 
@@ -344,9 +344,9 @@ class SignalsPanel(QWidget):
         self.stack.show_tests(self.loaded, self.channels.drawn)
         self._brushed(*self.stack.stretch)
 
-    def _say_empty(self, words: str) -> None:
+    def _say_empty(self, text: str) -> None:
         """Show a text in place of the plots if no test is shown."""
-        self.empty.setText(words)
+        self.empty.setText(text)
         self.empty.setVisible(not self.loaded)
         self.parts.setVisible(bool(self.loaded))
 
@@ -377,13 +377,13 @@ class SignalsPanel(QWidget):
         tracks = [next(iter(test.tracks.values())) for test in self.loaded]
         samples = max(last - first for first, last in (track.places(low, high) for track in tracks))
         what = _("Brushed") if self.stack.brush else _("Whole")
-        words = _("{what}: {seconds} s, {samples} samples").format(
+        text = _("{what}: {seconds} s, {samples} samples").format(
             what=what, seconds=fixed(high - low, 3), samples=grouped(samples)
         )
         left_out = len(self._chosen) - len(self.loaded)
         if left_out:
-            words += _("; {shown} of {count} tests shown").format(shown=len(self.loaded), count=len(self._chosen))
-        self.about.setText(words)
+            text += _("; {shown} of {count} tests shown").format(shown=len(self.loaded), count=len(self._chosen))
+        self.about.setText(text)
 
     # -- figure ---------------------------------------------------------------------------------------------
 

@@ -44,8 +44,8 @@ class SessionExport(BackgroundWork):
         self._kind = kind
         self._trail = trail
         self._tests: dict[Path, list[int]] = {}
-        for one in chosen:
-            self._tests.setdefault(one.path, []).append(one.number)
+        for test in chosen:
+            self._tests.setdefault(test.path, []).append(test.number)
 
     def run(self) -> SessionExport:
         """Export the sessions; a cancelled one leaves no files."""
@@ -105,8 +105,8 @@ class ExportButton(QPushButton):
         build.styled(
             self, tip=_("The selected tests as files for other programs, a folder a session"), menu=QMenu(self)
         )
-        for kind, words in EXPORTS.items():
-            self.menu().addAction(f"{_(words)}…", partial(self._choose, kind))
+        for kind, title in EXPORTS.items():
+            self.menu().addAction(f"{_(title)}…", partial(self._choose, kind))
         self.update_enabled(busy=False)
 
     def update_enabled(self, *, busy: bool) -> None:
@@ -137,9 +137,9 @@ class ExportButton(QPushButton):
         self._strip.clear()
         self._context.say(export.words_after, problem=bool(export.problems))
 
-    def _failed(self, words: str) -> None:
+    def _failed(self, message: str) -> None:
         self._strip.clear()
-        self._context.say(words, problem=True)
+        self._context.say(message, problem=True)
 
 
 _SPLIT, _TAB, _FOLDED = "research/split", "research/tab", "research/list-folded"
