@@ -81,7 +81,7 @@ def test_the_small_test_of_the_demo_is_not_called_noisy():
 def test_a_test_that_ends_within_its_preload_reports_its_length(good):
     cut = {name: values[: round(0.2 * RATE)] for name, values in good.signals.items()}
     findings = found(replace(good, signals=cut, status="aborted", notes=good.notes | {"reason": "interrupted"}))
-    words = findings["ended_early"].words
+    words = findings["ended_early"].message
     assert says(words, "quality.ended_early", reason="interrupted")
     assert says(words.values["when"], "quality.ended_early.preload", held=0.2, preload=0.5)
     assert findings["ended_early"].severity == "repeat"
@@ -98,14 +98,14 @@ def test_a_test_that_ends_within_its_preload_reports_its_length(good):
 def test_a_test_ended_by_the_calculated_temperature_is_reported(good, reason):
     notes = good.notes | reason_notes(reason) | {"limit_max_temperature_c": 80.0}
     ended = replace(with_signal(good, "temperature", np.full(good.samples, 60.0)), status="aborted", notes=notes)
-    assert says(found(ended)["coil_warm"].words, "quality.coil_warm.calculated", limit=80.0, read=60.0)
+    assert says(found(ended)["coil_warm"].message, "quality.coil_warm.calculated", limit=80.0, read=60.0)
     by_sensor = with_signal(ended, "temperature", np.full(good.samples, 81.0))
-    assert says(found(by_sensor)["coil_warm"].words, "quality.coil_warm", hottest=81.0)
+    assert says(found(by_sensor)["coil_warm"].message, "quality.coil_warm", hottest=81.0)
 
 
 def test_warnings_of_the_calibration_end_with_a_full_stop(good):
     known = {"state": "stale", "verdict": "passed", "warnings": "a.toml: it is 100 days old: calibrate again"}
-    assert found(good, device=replace(DEVICE, calibration=known))["calibration_stale"].words[-1] == "."
+    assert found(good, device=replace(DEVICE, calibration=known))["calibration_stale"].message[-1] == "."
 
 
 # -- each fault has its finding ----------------------------------------------------------------------------------
@@ -171,16 +171,16 @@ def test_a_fault_has_its_finding_in_both_languages(good, code):
     severity, spoil, message, values = FAULTS[code]
     finding = found(spoil(good))[code]
     assert finding.severity == severity
-    assert says(finding.words, f"quality.{message}")
+    assert says(finding.message, f"quality.{message}")
     for name, value in values.items():
-        known = finding.words.values[name]
+        known = finding.message.values[name]
         assert known == (pytest.approx(value, rel=0.03) if isinstance(value, float) else value)
-    assert not finding.words[0].islower()
-    assert finding.words.endswith(".")
+    assert not finding.message[0].islower()
+    assert finding.message.endswith(".")
     assert finding.advice.endswith(".")
     assert finding.value is not None
-    german = in_german(lambda: (translated(finding.words), translated(finding.advice)))
-    assert german[0] != finding.words
+    german = in_german(lambda: (translated(finding.message), translated(finding.advice)))
+    assert german[0] != finding.message
     assert german[1] != finding.advice
     assert "tissueid" not in german[1]
 
@@ -193,7 +193,7 @@ def test_every_text_of_the_gate_is_translated():
 def test_a_drift_is_distinguished_from_a_jump():
     drifting = during(lambda bench, at: move(bench, 0.06e-3) if at >= 1000 else None)
     finding = found(drifting(None))["reference_moved"]
-    assert says(finding.words, "quality.reference_moved.drift")
+    assert says(finding.message, "quality.reference_moved.drift")
     assert finding.value == pytest.approx(0.72e-3, rel=0.15)
 
 
@@ -217,8 +217,8 @@ def test_a_jump_during_the_preload_is_found(metres, severity):
     finding = found(jumping(None))["reference_moved"]
     assert finding.severity == severity
     assert finding.value == pytest.approx(abs(metres), rel=0.15)
-    assert says(finding.words, "quality.reference_moved.jump")
-    assert finding.words.values["seconds"] == pytest.approx(0.25, abs=0.1)
+    assert says(finding.message, "quality.reference_moved.jump")
+    assert finding.message.values["seconds"] == pytest.approx(0.25, abs=0.1)
 
 
 @pytest.mark.parametrize("preload_s", [0.1, 0.3, 0.5, 2.0])
@@ -242,14 +242,14 @@ def test_a_preload_that_was_lost_or_stands_still_is_not_judged(good):
 def test_the_orientation_is_that_of_what_was_received_last(good):
     test = TURNED(good)
     signals = {name: np.where(PLACE < 5000, values, np.nan) for name, values in test.signals.items()}
-    words = found(replace(test, signals=signals))["orientation_changed"].words
+    words = found(replace(test, signals=signals))["orientation_changed"].message
     assert words.values["degrees"] == pytest.approx(20.3, abs=0.3)
 
 
 @pytest.mark.parametrize("hertz", [50.0, 60.0, 100.0])
 def test_mains_are_named(good, hertz):
     humming = added("position", 2e-5 * np.sin(2 * np.pi * hertz * PLACE / RATE))
-    assert says(found(humming(good))["mains"].words, "quality.mains", hertz=hertz)
+    assert says(found(humming(good))["mains"].message, "quality.mains", hertz=hertz)
 
 
 def test_a_multisine_is_not_taken_for_mains(good):
@@ -324,8 +324,8 @@ def test_tissue_that_settles():
     first = desk.run()
     move(desk.bench, 0.2e-3)
     finding = found(desk.run(), (first,))["settling"]
-    assert says(finding.words, "quality.settling", direction="deeper", earlier="the first test at this site")
-    assert finding.words.values["size"] == pytest.approx(0.2, abs=0.005)
+    assert says(finding.message, "quality.settling", direction="deeper", earlier="the first test at this site")
+    assert finding.message.values["size"] == pytest.approx(0.2, abs=0.005)
     assert finding.advice == TISSUE.settling_advice
     move(desk.bench, 0.1e-3)
     third = desk.run()
@@ -349,7 +349,7 @@ def test_other_commands_are_compared_by_their_parameters():
     tests = [replace(desk.run(), number=place) for place, desk in enumerate(desks, 1)]
     assert judge(tests[2], DEVICE, tests[:2]).verdict == "good"
     other = replace(Desk("acrylamide-30", 4, 0.010).run(), number=4)
-    assert "quality.unusual.stiffness" in {finding.words.code for finding in judge(other, DEVICE, tests).findings}
+    assert "quality.unusual.stiffness" in {finding.message.code for finding in judge(other, DEVICE, tests).findings}
 
 
 def test_another_site_is_not_compared(good):
@@ -359,7 +359,7 @@ def test_another_site_is_not_compared(good):
 
 def test_a_surface_found_elsewhere(good):
     finding = found(replace(good, number=2, surface_position_m=good.surface_position_m + 2e-3), (good,))
-    words = finding["surface_changed"].words
+    words = finding["surface_changed"].message
     assert says(words, "quality.surface_changed")
     assert (words.template, words.values["size"]) == (TISSUE.deeper, pytest.approx(2.0))
 
@@ -484,18 +484,18 @@ def test_a_hostile_note_is_limited(good):
     kept = quality_of(replace(good, notes={"quality": json.dumps({"findings": items})}))
     assert kept is not None
     assert 0 < len(kept.findings) < 60
-    assert len(kept.findings[0].words) == 1000
+    assert len(kept.findings[0].message) == 1000
     assert kept.findings[0].value is None
 
 
 def test_stored_findings_keep_code_and_values(good):
     ended = replace(good, status="aborted", notes=good.notes | reason_notes(Message("t.why", "at {x:.1f}", x=0.25)))
     finding = found(ended)["ended_early"]
-    assert says(finding.words.values["reason"], "t.why", x=0.25)
+    assert says(finding.message.values["reason"], "t.why", x=0.25)
     kept = quality_of(replace(ended, notes=ended.notes | judge(ended, DEVICE).as_notes()))
     again = next(item for item in kept.findings if item.code == "ended_early")
     assert again == finding
-    assert says(again.words.values["reason"], "t.why", x=0.25)
+    assert says(again.message.values["reason"], "t.why", x=0.25)
 
 
 def test_findings_without_messages_still_read(good):

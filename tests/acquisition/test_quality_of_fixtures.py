@@ -28,7 +28,7 @@ def swung(tissue, low_n, high_n):
 
 def test_lost_contact_with_a_spring_has_its_own_advice():
     finding = found(swung("left-posterior-forearm", -6.0, 6.0))["probe_lifted"]
-    assert finding.words.template == SPRING.no_contact_force
+    assert finding.message.template == SPRING.no_contact_force
     assert finding.advice == SPRING.contact_advice
 
 
@@ -52,5 +52,5 @@ def test_fixtures_get_no_advice_for_skin(kind):
     if kind == "spring":
         assert {"incoherent", "end_of_stroke"} <= set(findings)
     for finding in findings.values():
-        said = f"{finding.words} {finding.advice}"
+        said = f"{finding.message} {finding.advice}"
         assert [word for word in SKIN if re.search(rf"\b{word}\b", said)] == [], said

@@ -92,7 +92,7 @@ def test_without_rest_a_warning_precedes_the_stop_and_the_recording_is_kept(desk
     assert shows(printed, "test.needs_rest", test=2, count=2)
     tests = read_session(tmp_path / "s.h5").tests
     assert [test.status for test in tests] == ["completed", "aborted"]
-    codes = {finding.words.code for finding in quality_of(tests[-1]).findings}
+    codes = {finding.message.code for finding in quality_of(tests[-1]).findings}
     assert "quality.coil_warm.calculated" in codes
     assert (tmp_path / "s.json").read_text().count('"status": "completed"') == 1
 

@@ -298,7 +298,7 @@ def test_the_light_the_words_and_the_offer(gate, findings, headline, level, agai
     gate.show_quality(Quality(findings), can_repeat=True)
     assert (gate.headline.text(), gate.light.property("level")) == (headline, level)
     assert gate.run_again.isVisibleTo(gate) is again
-    assert gate.texts == tuple(f"{finding.words} {finding.advice}" for finding in findings)
+    assert gate.texts == tuple(f"{finding.message} {finding.advice}" for finding in findings)
     for line in gate.texts:
         assert line in gate.accessibleName()
     gate.show_quality(Quality(findings), can_repeat=False)
@@ -306,7 +306,7 @@ def test_the_light_the_words_and_the_offer(gate, findings, headline, level, agai
 
 
 def test_many_findings_are_unfolded_when_asked_for(qtbot, gate):
-    findings = tuple(dataclasses.replace(WARM, words=f"Number {number}.") for number in range(7))
+    findings = tuple(dataclasses.replace(WARM, message=f"Number {number}.") for number in range(7))
     gate.show_quality(Quality(findings), can_repeat=True)
     gate.show()
     assert gate.grid.count() == 2 * MOST_SHOWN
@@ -333,7 +333,7 @@ def test_a_reopened_session_shows_what_the_gate_said(qtbot, window, tmp_path, sa
     wait_for_result(qtbot, window)
     assert window.ui.gate.isVisible()
     assert window.ui.gate.headline.text() == HEADLINES["look"]
-    assert SETTLING.words not in window.ui.result.reasons.text()
+    assert SETTLING.message not in window.ui.result.reasons.text()
     window.open_session(saved)
     qtbot.waitUntil(lambda: idle(window) and window.findings.path == saved, timeout=WAIT_MS)
     assert window.ui.gate.headline.text() != HEADLINES["look"]

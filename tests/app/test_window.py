@@ -140,7 +140,7 @@ def test_stop_in_mid_test_keeps_the_recorded_part(qtbot, open_window, bench, tmp
     assert "Stopped" in window.ui.notice.text.text()
     assert str(path) in window.ui.notice.text.text()
     gate, result = window.ui.gate, window.ui.result
-    findings = [finding.words for finding in window.findings.quality.findings]
+    findings = [finding.message for finding in window.findings.quality.findings]
     assert codes(findings).count("quality.ended_early") == 1
     said = " ".join([gate.headline.text(), *gate.texts, result.reasons.text(), result.facts.text()])
     # Once on the page, under one red light, with one button.

@@ -156,7 +156,7 @@ def test_every_removal_of_lines_is_found(path):
             path.write_bytes(b"".join(lines[:first] + lines[last:]))
             broken = verify(path).broken
             assert broken.damage is LogDamage.REMOVED
-            assert broken.place == first + 1
+            assert broken.line == first + 1
 
 
 def test_every_swap_of_lines_is_found(path):
@@ -168,7 +168,7 @@ def test_every_swap_of_lines_is_found(path):
             path.write_bytes(b"".join(swapped))
             broken = verify(path).broken
             assert broken.damage is LogDamage.REORDERED
-            assert broken.place == first + 1
+            assert broken.line == first + 1
 
 
 def test_every_copy_of_a_line_that_is_put_in_is_found(path):
@@ -178,7 +178,7 @@ def test_every_copy_of_a_line_that_is_put_in_is_found(path):
             path.write_bytes(b"".join([*lines[:place], lines[copied], *lines[place:]]))
             broken = verify(path).broken
             assert broken.damage is LogDamage.INSERTED
-            assert broken.place == place + 1
+            assert broken.line == place + 1
 
 
 def test_a_line_made_up_and_put_in_is_found(path):
@@ -192,13 +192,13 @@ def test_a_line_made_up_and_put_in_is_found(path):
         path.write_bytes(b"".join([*lines[:place], forged, *lines[place:]]))
         broken = verify(path).broken
         assert broken.damage is LogDamage.INSERTED
-        assert says(broken.words, "audit.twice", line=place + 1)
+        assert says(broken.message, "audit.twice", line=place + 1)
         path.write_bytes(b"".join([*lines[:place], forged, *lines[place + 1 :]]))
         if place < len(lines) - 1:
             broken = verify(path).broken
             assert broken.damage is LogDamage.CHANGED
-            assert broken.place == place + 1
-            assert broken.words.code == "audit.exchanged"
+            assert broken.line == place + 1
+            assert broken.message.code == "audit.exchanged"
 
 
 def test_rubbish_between_two_lines_is_found(path):
@@ -208,7 +208,7 @@ def test_rubbish_between_two_lines_is_found(path):
             path.write_bytes(b"".join([*lines[:place], rubbish, *lines[place:]]))
             broken = verify(path).broken
             assert broken.damage is LogDamage.INSERTED, rubbish[:30]
-            assert broken.place <= place + 1
+            assert broken.line <= place + 1
 
 
 def test_the_message_names_the_damage(path):
@@ -222,8 +222,8 @@ def test_the_message_names_the_damage(path):
         (lines[3:], "audit.removed", {"line": 1, "last": 3}),
     ):
         path.write_bytes(b"".join(raw))
-        assert says(verify(path).broken.words, code, **values)
-        assert is_german(verify(path).broken.words)
+        assert says(verify(path).broken.message, code, **values)
+        assert is_german(verify(path).broken.message)
 
 
 @given(st.data())

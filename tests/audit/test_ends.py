@@ -33,7 +33,7 @@ def test_a_log_that_is_cut_off_is_detected_by_a_head_from_another_file(path):
         assert verify(path).whole
         broken = verify(path, {head: "session.h5"}).broken
         assert broken.damage is LogDamage.CUT
-        assert says(broken.words, "audit.cut_off", where="session.h5", number=5, lines=kept)
+        assert says(broken.message, "audit.cut_off", where="session.h5", number=5, lines=kept)
         assert verify(path, {head.partition(":")[2]: "it"}).broken.damage is LogDamage.CUT
 
 
@@ -49,7 +49,7 @@ def test_a_new_log_is_detected_by_a_head_from_another_file(path):
         log.record("clinician", "test.begun")
     broken = verify(path, {head: "session.h5"}).broken
     assert broken.damage is LogDamage.FOREIGN
-    assert broken.words.code == "audit.other_log"
+    assert broken.message.code == "audit.other_log"
 
 
 def damaged_log(error):
@@ -124,7 +124,7 @@ def test_what_was_closed_off_cannot_be_changed(tmp_path):
     path.write_bytes(raw[:place] + b"2027" + raw[place + 4 :])
     broken = verify(path).broken
     assert broken.damage is LogDamage.INSERTED
-    assert broken.words.code == "audit.foreign_bytes"
+    assert broken.message.code == "audit.foreign_bytes"
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_a_log_that_was_moved_away_is_begun_again_and_says_so(path):
     assert [line.what for line in lines] == ["audit.started", "audit.lines_missing", "test.begun"]
     assert lines[1].old == head
     broken = verify(path).broken
-    assert (broken.place, broken.damage) == (2, LogDamage.CUT)
+    assert (broken.line, broken.damage) == (2, LogDamage.CUT)
     assert verify(path, after=[moved]).whole
     moved.write_bytes(b"".join(rows(moved)[:-1]))
     assert verify(path, after=[moved]).broken.damage is LogDamage.CUT
@@ -173,7 +173,7 @@ def test_a_log_that_is_cut_off_or_emptied_is_found_by_the_note_of_its_newest_lin
     path.write_bytes(b"".join(rows(path)[:kept]))
     broken = verify(path).broken
     assert broken.damage is LogDamage.CUT
-    assert says(broken.words, "audit.cut_off", number=5, lines=kept)
+    assert says(broken.message, "audit.cut_off", number=5, lines=kept)
     AuditLog(path).record("clinician", "test.begun")  # which hides nothing
     assert verify(path).broken.damage is LogDamage.CUT
     assert "audit.lines_missing" in [line.what for line in last_lines(path, 9)]

@@ -105,7 +105,7 @@ def test_a_static_calibration_and_a_sweep_that_disagree_are_flagged():
 
 def test_it_is_told_in_a_line():
     instrument = SimulatedInstrument("spring")
-    assert activate_calibration(instrument, wanted=False, now=NOW).words == NOT_CALIBRATED
+    assert activate_calibration(instrument, wanted=False, now=NOW).summary == NOT_CALIBRATED
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_under_a_calibration_force_is_measured_right(tmp_path):
     write_calibration(tmp_path / "a.toml", found)
     in_force = activate_calibration(instrument, tmp_path)
     assert in_force.state == "valid"
-    assert says(in_force.words, "calibration.summary.no_region")
+    assert says(in_force.summary, "calibration.summary.no_region")
     assert in_force.warnings == (NO_REGION,)
     assert codes(in_force.warnings) == ["calibration.no_region"]
 

@@ -76,13 +76,13 @@ def static(days, value, **changes):
 def test_a_drift_has_its_significance(share, verdict, code, size, known):
     found = compare_sweeps(sweep(20, share), sweep(0))
     assert found.before.date.startswith("2026-03-01")
-    assert says(found.words, code, quantity="Force constant", date="2026-03-01")
-    assert is_german(found.words)
+    assert says(found.message, code, quantity="Force constant", date="2026-03-01")
+    assert is_german(found.message)
     if size:
-        assert str(found.words.values["difference"]) == size
-        assert found.words.values["significance"].code == f"drift.{verdict}"
+        assert str(found.message.values["difference"]) == size
+        assert found.message.values["significance"].code == f"drift.{verdict}"
     if known:
-        assert str(found.words.values["significance"].values["uncertainty"]) == known
+        assert str(found.message.values["significance"].values["uncertainty"]) == known
     assert found.differences[0].verdict == verdict
     assert found.differences[0].relative == pytest.approx(share - 1.0)
     assert found.profile == pytest.approx(share - 1.0, abs=1e-9)
@@ -90,9 +90,9 @@ def test_a_drift_has_its_significance(share, verdict, code, size, known):
 
 def test_a_size_that_rounds_to_its_uncertainty_is_told_finer():
     found = compare_sweeps(sweep(0), sweep(9, 1.0145))
-    sizes = [found.words.values["difference"], found.words.values["significance"].values["uncertainty"]]
+    sizes = [found.message.values["difference"], found.message.values["significance"].values["uncertainty"]]
     assert [str(size) for size in sizes] == ["1.45 %", "1.41 %"]
-    assert says(found.words, "drift.higher", date="2026-03-01")
+    assert says(found.message, "drift.higher", date="2026-03-01")
 
 
 def test_the_noise_is_that_of_repeats_where_there_are_some():
@@ -137,7 +137,7 @@ def test_sweeps_with_nothing_in_common_are_not_compared_along_the_stroke():
     assert math.isnan(found.profile)
     bare = compare_sweeps(sweep(0), sweep(1, tables={}, quantities={}))
     assert bare.differences == ()
-    assert bare.words.code == "drift.no_force_constant"
+    assert bare.message.code == "drift.no_force_constant"
 
 
 def test_only_sweeps_are_compared():
@@ -176,16 +176,16 @@ def test_a_trend_is_the_slope_over_the_dates():
     found = trend([static(days, 12.0 + 0.3 * days / 365.25) for days in (365, 0, 100, 200)], "coil_resistance_ohm")
     assert found.dates == tuple(sorted(found.dates))
     assert found.per_year.value == pytest.approx(0.3, rel=1e-6)
-    assert says(found.words, "trend.rises", slope=pytest.approx(2.46, abs=0.02))
-    assert str(found.words.values["std"]) == "0.0 %"
-    assert is_german(found.words)
+    assert says(found.message, "trend.rises", slope=pytest.approx(2.46, abs=0.02))
+    assert str(found.message.values["std"]) == "0.0 %"
+    assert is_german(found.message)
 
 
 def test_a_trend_wants_three_days():
     found = trend([static(0, 12.0), static(1, 12.1)], "coil_resistance_ohm")
     assert found.per_year is None
-    assert says(found.words, "trend.too_few", least=3)
+    assert says(found.message, "trend.too_few", least=3)
     steady = trend([static(days, 12.0) for days in (0, 10, 20)], "coil_resistance_ohm")
-    assert steady.words.code == "trend.none"
+    assert steady.message.code == "trend.none"
     with pytest.raises(UnusableInputError, check=coded("trend.no_quantity", quantity="Force constant")):
         trend([static(0, 12.0)], "force_constant_n_per_a")

@@ -125,7 +125,7 @@ def test_ten_thousand_samples_a_second():
 def test_a_disagreement_names_the_wrong_scale(rig, cause):
     found = result_of(rig, tuple(FEW), GOOD_SPRING)
     assert found.agreement.cause == cause
-    said = found.agreement.words
+    said = found.agreement.message
     assert said.code == ("sweep.agree" if cause is None else "sweep.scales")
     assert cause is None or said.values["cause"].code == f"sweep.cause.{cause}"
     assert said.values["comparison"].values["difference"].value == pytest.approx(
@@ -140,7 +140,7 @@ def test_without_a_stage_position_and_spring_are_not_distinguishable():
     found = analyse_sweep(tests, NOMINAL, GOOD_SPRING)
     assert found.agreement.stage is None
     assert found.agreement.cause == "spring"
-    assert found.agreement.words.values["cause"].code == "sweep.cause.spring"
+    assert found.agreement.message.values["cause"].code == "sweep.cause.spring"
 
 
 def test_a_region_ends_where_the_sweep_ends():

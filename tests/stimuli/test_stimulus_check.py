@@ -37,7 +37,7 @@ def appraised(played: Stimulus, device: DeviceDescription = DEVICE, **options: f
 
 
 def refusals(found: StimulusCheck) -> list[str]:
-    return [concern.words for concern in found.concerns if concern.severity == "refused"]
+    return [concern.message for concern in found.concerns if concern.severity == "refused"]
 
 
 def test_a_sine_has_the_figures_of_a_sine():
@@ -138,11 +138,11 @@ def test_noise_is_painless_and_binary_is_not(kind: str):
     assert binary.edge_ratio == pytest.approx(4.35, abs=0.05)
     assert binary.sharp_edges_per_s == pytest.approx(1000.0, abs=50.0)
     assert [concern.severity for concern in binary.concerns] == ["caution"]
-    assert binary.concerns[0].words.code == "stimulus.check.hurts"
+    assert binary.concerns[0].message.code == "stimulus.check.hurts"
     assert binary.feel.code == "stimulus.feel.hurts"
     assert binary.playable
     gentler = appraised(stimulus(np.where(np.random.default_rng(5).random(8000) < 0.5, 3.0, 8.0)))
-    assert gentler.concerns[0].words.code == "stimulus.check.steep"
+    assert gentler.concerns[0].message.code == "stimulus.check.steep"
     assert gentler.feel.code == "stimulus.feel.harder"
 
 
@@ -180,13 +180,13 @@ def test_a_coil_that_may_get_too_warm_is_a_caution():
     assert found.heating.most_k > 80.0 - 23.0
     assert found.heating.expected_k < 80.0 - 23.0
     assert [concern.severity for concern in found.concerns] == ["caution"]
-    assert found.concerns[0].words.code == "stimulus.check.warm"
+    assert found.concerns[0].message.code == "stimulus.check.warm"
     assert not appraised(stimulus(np.full(20_000, 9.0)), start_c=45.0).playable
 
 
 def test_pulling_is_a_caution():
     found = appraised(stimulus(2.0 + 3.0 * np.sin(np.arange(4000) / 20.0)))
-    assert message([found.concerns[0].words], "stimulus.check.pulls").values["force"] == pytest.approx(1.0, rel=1e-3)
+    assert message([found.concerns[0].message], "stimulus.check.pulls").values["force"] == pytest.approx(1.0, rel=1e-3)
     assert found.playable
 
 

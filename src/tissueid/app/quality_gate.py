@@ -241,7 +241,7 @@ class QualityGatePanel(QFrame):
     def texts(self) -> tuple[str, ...]:
         """All findings, including those that are not shown at first."""
         findings = () if self._quality is None else self._quality.findings
-        said = (sentences(finding.words, self._advice(finding)) for finding in findings)
+        said = (sentences(finding.message, self._advice(finding)) for finding in findings)
         return (_(UNJUDGED),) if self._quality is None else tuple(translated(line) for line in said)
 
     def _advice(self, finding: QualityFinding) -> str:
@@ -266,7 +266,7 @@ class QualityGatePanel(QFrame):
         self.more.setText(_("Fewer") if self.more.isChecked() else _("{count} more").format(count=hidden))
         shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
         for index, finding in enumerate(shown):
-            self.grid.addWidget(_text(translated(finding.words), ""), index, 0)
+            self.grid.addWidget(_text(translated(finding.message), ""), index, 0)
             self.grid.addWidget(_text(self._advice(finding), "muted"), index, 1)
 
 

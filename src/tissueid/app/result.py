@@ -156,7 +156,7 @@ class ResultPage(QScrollArea):
         if findings is None:
             return
         # Headline and light stand above, and so does what the quality gate said.
-        shown = {finding.words for finding in findings.quality.findings} if findings.quality else set()
+        shown = {finding.message for finding in findings.quality.findings} if findings.quality else set()
         reasons = [reason for reason in findings.verdict.reasons if reason not in shown]
         if not detailed:
             reasons = [_(_OF_MODEL) if code_of(reason) == "verdict.engine_warning" else reason for reason in reasons]

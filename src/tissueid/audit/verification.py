@@ -50,11 +50,11 @@ class LogDamage(Enum):
 
 @dataclass(frozen=True)
 class Broken:
-    """The first damage of a log: ``place`` is a line of the file, counted from 1, and ``words`` describe it."""
+    """The first damage of a log: ``line`` is counted from 1 in the file, and ``message`` describes it."""
 
-    place: int
+    line: int
     damage: LogDamage
-    words: str
+    message: str
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def _hashes_of(logs: Sequence[Path], cancelled: Callable[[], object]) -> set[str
     for path in logs:
         walk = _Walk(path, cancelled)
         if (broken := walk.broken()) is not None:
-            raise UnusableInputError("audit.earlier_damaged", "{path}: {why}", path=str(path), why=broken.words)
+            raise UnusableInputError("audit.earlier_damaged", "{path}: {why}", path=str(path), why=broken.message)
         hashes |= walk.hashes
     return hashes
 

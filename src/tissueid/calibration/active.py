@@ -288,7 +288,7 @@ class ActiveCalibration:
     """Active calibration: the calibrated device description, a summary and warnings."""
 
     device: DeviceDescription
-    words: str
+    summary: str
     warnings: tuple[str, ...]
 
     @property

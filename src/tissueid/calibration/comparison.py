@@ -135,7 +135,7 @@ class CalibrationComparison:
     remarks: tuple[str, ...]
 
     @property
-    def words(self) -> Message:
+    def message(self) -> Message:
         """Change of the force constant as a sentence."""
         difference = next((item for item in self.differences if item.name == "force_constant_n_per_a"), None)
         if difference is None:
@@ -356,7 +356,7 @@ class Trend:
     per_year: Estimate | None
 
     @property
-    def words(self) -> Message:
+    def message(self) -> Message:
         """Trend in a sentence."""
         label = label_of(self.name)
         if self.per_year is None:

@@ -272,7 +272,7 @@ class Agreement:
     cause: Cause | None
 
     @property
-    def words(self) -> Message:
+    def message(self) -> Message:
         """Result of the comparison in a sentence."""
         ratio = self.ratio.value - 1.0
         said = Message(

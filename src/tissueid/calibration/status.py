@@ -347,7 +347,7 @@ class FileStatus:
     """State of a calibration file without reference to a device."""
 
     state: State
-    words: str
+    message: str
 
     @property
     def usable(self) -> bool:

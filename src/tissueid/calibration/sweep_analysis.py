@@ -349,7 +349,7 @@ def _problems(result: SweepResult) -> tuple[str, ...]:
             )
         )
     if result.agreement.cause is not None:
-        problems.append(result.agreement.words)
+        problems.append(result.agreement.message)
     others = {
         name: calibrated for name, calibrated in quantities_of(result).items() if name != "force_constant_n_per_a"
     }
@@ -400,7 +400,7 @@ def as_calibration(
         UnusableInputError: a field, such as a condition, does not fit into a calibration file; names it.
     """
     device = result.device
-    notes = (*(() if result.agreement.cause else (result.agreement.words,)), *result.remarks)[:50]
+    notes = (*(() if result.agreement.cause else (result.agreement.message,)), *result.remarks)[:50]
     made = {
         "spring_stiffness_n_per_m": result.spring.stiffness_n_per_m,
         "spring_relative_uncertainty": result.spring.relative_std,

@@ -23,7 +23,7 @@ def print_verification(plan: VerifyLogPlan, out: Output) -> None:
     out.print_lines(verified.remarks, soft_wrap=True)
     out.write_json(_answer(verified))
     if result.broken is not None:
-        raise UnusableInputError(f"{path}: {result.broken.words}")
+        raise UnusableInputError(f"{path}: {result.broken.message}")
     if not result.lines:
         out.print(f"{path} contains no complete line: nothing has been logged yet", soft_wrap=True)
         return
@@ -62,10 +62,10 @@ def _answer(verified: VerifiedLog) -> dict[str, Any]:
         "broken": None
         if broken is None
         else {
-            "place": broken.place,
+            "place": broken.line,
             "damage": broken.damage.value,
-            "words": broken.words,
-            "message": stored(broken.words),
+            "words": broken.message,
+            "message": stored(broken.message),
         },
         "remarks": list(verified.remarks),
     }

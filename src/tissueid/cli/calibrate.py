@@ -220,7 +220,7 @@ def print_calibrations(plan: CalibrationListPlan, out: Output) -> None:
     out.widen(120)
     rows = table(f"Calibrations in {folder}", "file", "serial number", "kind", "date", "status", left_aligned=True)
     for item in listed:
-        calibration, status = item.calibration, item.status.words
+        calibration, status = item.calibration, item.status.message
         cells = (
             ("", "", "")
             if calibration is None
@@ -242,8 +242,8 @@ def print_calibrations(plan: CalibrationListPlan, out: Output) -> None:
             "file": str(item.path),
             **{name: getattr(item.calibration, name, None) for name in about},
             "state": item.status.state,
-            "words": item.status.words,
-            "message": stored(item.status.words),
+            "words": item.status.message,
+            "message": stored(item.status.message),
             "newest_that_passed": item.newest,
         }
         for item in listed

@@ -73,7 +73,7 @@ def repeat_warnings(session: Session, numbers: Iterable[int]) -> Iterator[str]:
                 "quality.advised_repeat",
                 "warning: the quality check advised to repeat test {test}: {finding}",
                 test=test.number,
-                finding=worst.words,
+                finding=worst.message,
             )
 
 

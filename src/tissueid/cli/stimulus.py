@@ -127,7 +127,7 @@ def _list(kind: str | None, out: Output) -> Any:
 def _print_design(design: StimulusDesign, out: Output) -> dict[str, Any]:
     """Print a stimulus and its check; return them for JSON."""
     out.print(_table(f"Stimulus {design.specification.name}", design.rows()))
-    out.print_lines(f"{concern.severity}: {concern.words}" for concern in design.appraisal.concerns)
+    out.print_lines(f"{concern.severity}: {concern.message}" for concern in design.appraisal.concerns)
     stimulus, appraisal = design.stimulus, design.appraisal
     return {
         "description": stimulus.description,
@@ -154,7 +154,7 @@ def _print_design(design: StimulusDesign, out: Output) -> dict[str, Any]:
         "heating_most_k": appraisal.heating.most_k,
         "heating_bound_k": appraisal.heating.bound_k,
         "concerns": [
-            {"severity": concern.severity, "words": concern.words, "message": stored(concern.words)}
+            {"severity": concern.severity, "words": concern.message, "message": stored(concern.message)}
             for concern in appraisal.concerns
         ],
     } | design.answer()

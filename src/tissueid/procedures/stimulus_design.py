@@ -300,7 +300,7 @@ def _checked(
     )
     for concern in appraisal.concerns:
         if concern.severity == "refused":
-            reason = concern.words.rstrip(".")
+            reason = concern.message.rstrip(".")
             raise LimitError(f"the instrument would refuse this stimulus: {reason[:1].lower()}{reason[1:]}")
     return StimulusDesign(stimulus, device, appraisal, search)
 

@@ -239,7 +239,7 @@ class _Run:
             else calibrate(instrument)
         )
         if trail is not None and isinstance(in_force, ActiveCalibration):
-            trail.note("calibration.in_force", subject=instrument.device.serial_number, new=in_force.words)
+            trail.note("calibration.in_force", subject=instrument.device.serial_number, new=in_force.summary)
         self._instrument = instrument
         self._limits = limits = instrument.effective_limits(PROFILES[plan.limits])
         control.ready(instrument, limits)

@@ -362,7 +362,7 @@ def stimulus_report(design: StimulusDesign) -> StimulusReport:
         ),
         headline=_(headline),
         level=level,
-        concerns=tuple(translated(concern.words) for concern in check.concerns),
+        concerns=tuple(translated(concern.message) for concern in check.concerns),
         summary=tuple(translated(line) for line in check.summary()),
         tables=(
             Table(_("Properties"), (), translated_rows(design.rows())),

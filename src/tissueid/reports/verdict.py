@@ -131,7 +131,7 @@ def _how_it_ended(test: Test) -> str:
     """Say why a test ended early: in the words of the quality gate, so that a page has them once."""
     quality = quality_of(test)
     findings = quality.findings if quality is not None else ()
-    return next((item.words for item in findings if item.code == "ended_early"), ENDED_EARLY[test.status])
+    return next((item.message for item in findings if item.code == "ended_early"), ENDED_EARLY[test.status])
 
 
 _GATE: dict[str, Level] = {"good": "good", "look": "check", "repeat": "poor"}
@@ -145,7 +145,7 @@ def _quality_doubts(test: Test) -> list[_Doubt]:
     if quality.verdict == "good":
         return []
     worst = quality.findings[0]
-    return [(_GATE[quality.verdict], worst.words)]
+    return [(_GATE[quality.verdict], worst.message)]
 
 
 def _lifted_off(test: Test) -> list[_Doubt]:

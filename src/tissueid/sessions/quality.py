@@ -38,19 +38,19 @@ _LONGEST_TEXT = 1000
 class QualityFinding:
     """A finding of the quality gate.
 
-    ``code`` is for scripts; ``words`` say what happened, ``advice`` what to do: both are messages or texts that a
+    ``code`` is for scripts; ``message`` says what happened, ``advice`` what to do: both are messages or texts that a
     catalogue translates. ``value`` is the figure behind the finding, SI or a share from 0 to 1, or None.
     """
 
     code: str
     severity: Severity
-    words: str
+    message: str
     advice: str
     value: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the finding for JSON; under ``messages``, the code, template and values of its texts."""
-        texts = {"words": self.words, "advice": self.advice}
+        texts = {"words": self.message, "advice": self.advice}
         return {
             "code": self.code,
             "severity": self.severity,
@@ -80,7 +80,7 @@ class Quality:
     @property
     def lines(self) -> tuple[str, ...]:
         """Each finding with its advice, one line each."""
-        return tuple(sentences(finding.words, finding.advice) for finding in self.findings)
+        return tuple(sentences(finding.message, finding.advice) for finding in self.findings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict and the findings for JSON."""

@@ -108,7 +108,7 @@ class StimulusConcern:
     """Problem of a stimulus: ``refused`` must not be played, ``caution`` needs a decision of the operator."""
 
     severity: Severity
-    words: str
+    message: str
 
 
 @dataclass(frozen=True)

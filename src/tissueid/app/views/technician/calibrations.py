@@ -130,7 +130,7 @@ class StaticsPanel(QWidget):
             return
         figure_trend = trend(self._all, name)
         self.over_dates.show_plots([trend_plot(figure_trend, datetime.now(UTC))])
-        self.drift.setText(translated(figure_trend.words))
+        self.drift.setText(translated(figure_trend.message))
 
     def take_units(self) -> None:
         """Show the figures in the units in force."""
@@ -223,7 +223,7 @@ class SweepsPanel(QWidget):
             return
         comparison = compare_sweeps(others[max(0, self.against.currentIndex())], newest)
         self.comparison = comparison
-        self.headline.setText(translated(comparison.words))
+        self.headline.setText(translated(comparison.message))
         drift = next((item for item in comparison.differences if item.name == "force_constant_n_per_a"), None)
         show_level(self.headline, "check" if drift is not None and drift.verdict == "beyond" else "")
         self.remarks.setText(" ".join([_profile_words(comparison), *map(translated, comparison.remarks)]).strip())
@@ -346,7 +346,7 @@ def _row(
     date = local_minute(calibration.date) or calibration.date[:10]
     if nominal is None:
         status = file_status(item, now)
-        force, level = _said(translated(status.words)), "" if status.state == "valid" else "check"
+        force, level = _said(translated(status.message)), "" if status.state == "valid" else "check"
     else:
         state, why = status_for_device(item, nominal, now)
         reason = translated(why)

@@ -226,8 +226,8 @@ class AuditTab(SearchedTab):
             broken = Message(
                 "audit.table.broken",
                 "The log is not as it was written. Line {place} of the file: {words} ({damage}).",
-                place=grouped(verification.broken.place),
-                words=verification.broken.words,
+                place=grouped(verification.broken.line),
+                words=verification.broken.message,
                 damage=verification.broken.damage.value,
             )
             self._tell("poor", f"{translated(broken)} {remarks}".strip())
