@@ -125,7 +125,7 @@ class _Page:
         return self._painted()
 
     def _ask(self, words: str) -> int:
-        self._tab.words.setText(words)
+        self._tab.search.setText(words)
         return self._painted()
 
     def _choose(self, place: int) -> int:

@@ -467,5 +467,5 @@ def test_a_test_that_the_watchdog_of_the_window_ended_is_logged_as_aborted(
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     ends = [line for line in last_lines(audit_file, 100) if line.what in ("test.aborted", "test.stopped")]
     assert [(line.what, line.new["codes"]) for line in ends] == [("test.aborted", ["stop.no_answer"])]
-    (event,) = read_events([], read_log(audit_file, lambda: None), lambda: None).found
+    (event,) = read_events([], read_log(audit_file, lambda: None), lambda: None).entries
     assert event.level == "check"
