@@ -51,9 +51,9 @@ def test_the_table_is_the_same(tmp_path):
 def test_engines_of_a_comparison_are_fitted_on_the_cluster(tmp_path):
     fill(tmp_path, subjects=1)
     plan = ComparePlan(session=tmp_path / "P0-arm.h5", engines=("lms", "hammerstein"))
-    here = run_comparison(plan, Control()).found
+    here = run_comparison(plan, Control()).comparison
     with cluster(1, processes=False) as running:
-        there = run_comparison(plan.model_copy(update={"scheduler": running.scheduler_address}), Control()).found
+        there = run_comparison(plan.model_copy(update={"scheduler": running.scheduler_address}), Control()).comparison
     assert there.recommendation == here.recommendation
     assert list(there.analyses) == list(here.analyses)
 
