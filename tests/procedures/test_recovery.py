@@ -46,14 +46,14 @@ def test_the_window_recovers_what_the_command_line_does(tmp_path, audit_file, ca
     shutil.copytree(leave_journal(tmp_path / "cli", damaged=damaged).parent, tmp_path / "window")
     answer = tmp_path / "answer.json"
     assert main(["recover", str(tmp_path / "cli" / "s.h5"), "--json", str(answer)]) == 0
-    shown = recover_all(tmp_path / "window", AuditTrail(AuditLog(audit_file), "researcher"))
+    shown, problems = recover_all(tmp_path / "window", AuditTrail(AuditLog(audit_file), "researcher"))
     ours = read_session(tmp_path / "cli" / "s.h5")
     assert ours.test().samples == (200 if damaged else 300)
     assert_same_session(ours, read_session(tmp_path / "window" / "s.h5"))
-    assert_same_session(ours, shown.sessions[0].session)
+    assert_same_session(ours, shown[0].session)
     lines = [(line.what, line.role, line.subject, line.new) for line in last_lines(audit_file, 9)]
     assert lines[-2] == lines[-1]
-    assert len(json.loads(answer.read_text())["warnings"]) == len(shown.problems) == damaged
+    assert len(json.loads(answer.read_text())["warnings"]) == len(problems) == damaged
     left = {path.name for path in (tmp_path / "cli").iterdir()}
     assert left == {path.name for path in (tmp_path / "window").iterdir()}
     assert left == ({"s.h5", "s.h5.journal.damaged"} if damaged else {"s.h5"})
@@ -66,17 +66,17 @@ def test_what_could_not_be_logged_is_a_notice_of_both(tmp_path, audit_file, caps
         leave_journal(tmp_path / name, damaged=False)
     assert main(["recover", str(tmp_path / "cli" / "s.h5")]) == 0
     assert shows(capsys.readouterr().err, "audit.not_logged")
-    shown = recover_all(tmp_path / "window", AuditTrail(AuditLog(audit_file), "researcher"))
-    assert len(shown.sessions) == 1
-    assert shows(shown.problems[0], "audit.not_logged")
+    shown, problems = recover_all(tmp_path / "window", AuditTrail(AuditLog(audit_file), "researcher"))
+    assert len(shown) == 1
+    assert shows(problems[0], "audit.not_logged")
 
 
 def test_a_journal_that_fails_does_not_prevent_the_others(tmp_path, audit_file):
     leave_journal(tmp_path / "f", damaged=False)
     (tmp_path / "f" / "a.h5.journal").write_bytes(b"nothing of a journal")
-    shown = recover_all(tmp_path / "f", AuditTrail(AuditLog(audit_file), "researcher"))
-    assert [one.path.name for one in shown.sessions] == ["s.h5"]
-    assert len(shown.problems) == 1
+    shown, problems = recover_all(tmp_path / "f", AuditTrail(AuditLog(audit_file), "researcher"))
+    assert [one.path.name for one in shown] == ["s.h5"]
+    assert len(problems) == 1
 
 
 def test_warnings_are_notices_with_codes(tmp_path, audit_file):

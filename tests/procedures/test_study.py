@@ -86,15 +86,19 @@ def folder(tmp_path_factory):
     return path
 
 
+def copy_sessions(folder, target, subjects=SUBJECTS):
+    target.mkdir(exist_ok=True)
+    for who in range(subjects):
+        for path in folder.glob(f"P{who}-*.h5"):
+            shutil.copy2(path, target)
+
+
 @pytest.fixture
 def fill(folder, run):
     """A function that copies the sessions of the first subjects, with their results, which stay valid."""
 
     def copied(target, subjects=SUBJECTS, results=True):
-        target.mkdir(exist_ok=True)
-        for who in range(subjects):
-            for path in folder.glob(f"P{who}-*.h5"):
-                shutil.copy2(path, target)
+        copy_sessions(folder, target, subjects)
         if results:
             shutil.copytree(folder / RESULTS, target / RESULTS)
 

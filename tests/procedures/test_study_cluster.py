@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from coded import coded
-from procedures.test_study import fill, plan_of
+from procedures.test_study import copy_sessions, folder, plan_of
 
 from tissueid.errors import UnusableInputError
 from tissueid.procedures import cluster as procedures_cluster
@@ -21,6 +21,7 @@ from tissueid.procedures.identification import ComparePlan, run_comparison
 from tissueid.procedures.study_plans import RESULTS
 from tissueid.procedures.study_run import run_study
 
+sessions = folder  # a fixture
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 pytestmark = pytest.mark.filterwarnings("ignore")  # those of the cluster's own threads and sockets
 
@@ -38,18 +39,18 @@ def cluster(workers, *, processes, protocol="tcp://", **options):
     )
 
 
-def test_the_table_is_the_same(tmp_path):
+def test_the_table_is_the_same(sessions, tmp_path):
     here, there = tmp_path / "here", tmp_path / "there"
-    fill(here, subjects=1)
-    fill(there, subjects=1)
+    copy_sessions(sessions, here, subjects=1)
+    copy_sessions(sessions, there, subjects=1)
     known = run_study(plan_of(here), Control())
     with cluster(1, processes=False) as running:
         found = run_study(plan_of(there, scheduler=running.scheduler_address), Control())
     pd.testing.assert_frame_equal(found.table, known.table)
 
 
-def test_engines_of_a_comparison_are_fitted_on_the_cluster(tmp_path):
-    fill(tmp_path, subjects=1)
+def test_engines_of_a_comparison_are_fitted_on_the_cluster(sessions, tmp_path):
+    copy_sessions(sessions, tmp_path, subjects=1)
     plan = ComparePlan(session=tmp_path / "P0-arm.h5", engines=("lms", "hammerstein"))
     here = run_comparison(plan, Control()).comparison
     with cluster(1, processes=False) as running:
@@ -59,10 +60,10 @@ def test_engines_of_a_comparison_are_fitted_on_the_cluster(tmp_path):
 
 
 @pytest.mark.soak
-def test_a_worker_that_is_killed_loses_and_doubles_nothing(tmp_path):
+def test_a_worker_that_is_killed_loses_and_doubles_nothing(sessions, tmp_path):
     here, there = tmp_path / "here", tmp_path / "there"
-    fill(here)
-    fill(there)
+    copy_sessions(sessions, here)
+    copy_sessions(sessions, there)
     known = run_study(plan_of(here), Control())
     with cluster(2, processes=True) as running:
         victims = [worker.pid for worker in running.workers.values()][:1]
@@ -79,8 +80,8 @@ def test_a_worker_that_is_killed_loses_and_doubles_nothing(tmp_path):
     assert run_study(plan_of(there), Control()).analysed == 0
 
 
-def test_a_cluster_that_finishes_nothing_is_left_after_a_time(tmp_path):
-    fill(tmp_path / "s", subjects=1)
+def test_a_cluster_that_finishes_nothing_is_left_after_a_time(sessions, tmp_path):
+    copy_sessions(sessions, tmp_path / "s", subjects=1)
     with cluster(0, processes=False) as running:
         plan = plan_of(tmp_path / "s", scheduler=running.scheduler_address, cluster_timeout_s=0.3)
         with pytest.raises(UnusableInputError, check=coded("cluster.stopped")):
@@ -152,8 +153,8 @@ def test_a_scheduler_is_reached_by_tls_with_certificates_of_one_authority(tmp_pa
             pass
 
 
-def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
-    fill(tmp_path / "s", subjects=1)
+def test_no_scheduler_is_one_line(sessions, tmp_path, monkeypatch):
+    copy_sessions(sessions, tmp_path / "s", subjects=1)
     monkeypatch.setattr(procedures_cluster, "CONNECT_TIMEOUT_S", 0.2)
     with pytest.raises(UnusableInputError) as caught:
         run_study(plan_of(tmp_path / "s", scheduler="tcp://127.0.0.1:9"), Control())
