@@ -235,7 +235,7 @@ def curves(preset: str, kind: str, seconds: float) -> Curves:
     own = np.log(np.array([truth(preset, load)[1] for load in LOADS_N]).T)
     value, reported = [], []
     for seed in range(FIRST_SEED, FIRST_SEED + RUNS):
-        known = get_engine("dpn")().fit(recorded(preset, kind, seed)[: round(seconds * RATE)]).known
+        known = get_engine("dpn")().fit(recorded(preset, kind, seed)[: round(seconds * RATE)]).estimated
         bands = (known.mass(places), known.damping(places), known.stiffness(places))
         value.append([np.log(band.value) for band in bands])
         reported.append([band.std / band.value for band in bands])

@@ -79,7 +79,7 @@ class Action:
 
     code: str
     command: str
-    place: str
+    window_place: str
 
     def __str__(self) -> str:
         return f"'{self.command}'"
@@ -159,7 +159,7 @@ def translated(text: Any) -> str:
     if isinstance(text, Listing):
         return text.said_by(translated)
     if isinstance(text, Action):
-        return _(text.place)
+        return _(text.window_place)
     if isinstance(text, Verbatim):
         return str(text)
     return _(text) if isinstance(text, str) else str(text)
@@ -206,7 +206,7 @@ def _plain(value: Any) -> Any:
         finite = value.value if math.isfinite(value.value) else None
         return {"value": finite, "unit": value.unit, "decimals": value.decimals}
     if isinstance(value, Action):
-        return {"action": value.code, "command": value.command, "place": value.place}
+        return {"action": value.code, "command": value.command, "place": value.window_place}
     if isinstance(value, Listing):
         return {"items": [_plain(item) for item in value.items], "last": value.last, "between": value.between}
     if isinstance(value, float) and not math.isfinite(value):

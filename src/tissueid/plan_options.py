@@ -161,7 +161,7 @@ def option_of(field: FieldInfo) -> Option | None:
     return next((item for item in field.metadata if isinstance(item, Option)), None)
 
 
-class Bounds(NamedTuple):
+class OptionBounds(NamedTuple):
     """The least and greatest value of a field, None where it has no such bound; an open one is excluded itself."""
 
     least: float | None = None
@@ -170,13 +170,13 @@ class Bounds(NamedTuple):
     most_open: bool = False
 
 
-def bounds_of(field: FieldInfo) -> Bounds:
+def bounds_of(field: FieldInfo) -> OptionBounds:
     """Return the bounds of a field: of ``ge``, ``gt``, ``le`` and ``lt``."""
     limits: dict[str, float] = {}
     for rule in field.metadata:
         named = {name: getattr(rule, name, None) for name in ("ge", "gt", "le", "lt")}
         limits |= {name: limit for name, limit in named.items() if limit is not None}
-    return Bounds(
+    return OptionBounds(
         limits.get("gt", limits.get("ge")), limits.get("lt", limits.get("le")), "gt" in limits, "lt" in limits
     )
 

@@ -33,7 +33,7 @@ DEPTHS = np.linspace(0.05, 0.95, 19)
 def _errors(model: DpnModel, record: Record, tissue: simulated_dpn.Tissue) -> np.ndarray:
     """Largest relative error of M, B and K over the central 90 % of the depths, shape (3,)."""
     y = np.nanquantile(record.output, DEPTHS)
-    known = model.known
+    known = model.estimated
     found = known.mass(y).value, known.damping(y).value, known.stiffness(y).value
     truth = tissue.masses(y), tissue.dampings(y), tissue.tangents(y)
     return np.array([np.max(np.abs(f / t - 1.0)) for f, t in zip(found, truth, strict=True)])
@@ -206,10 +206,12 @@ def test_a_known_surface_gives_the_stiffness_of_the_equation():
     record, plain = _fitted("skin")
     model = Dpn(surface_position_m=simulated_dpn.SURFACE).fit(record)
     y = np.quantile(record.output, DEPTHS)
-    secant = model.known.secant(y, simulated_dpn.SURFACE)
+    secant = model.estimated.secant(y, simulated_dpn.SURFACE)
     np.testing.assert_allclose(secant.value, simulated_dpn.SKIN.secants(y), rtol=0.01)
     assert np.mean((secant.low < simulated_dpn.SKIN.secants(y)) & (simulated_dpn.SKIN.secants(y) < secant.high)) > 0.5
-    assert np.all(np.isnan(model.known.secant(np.array([0.009, simulated_dpn.SURFACE]), simulated_dpn.SURFACE).value))
+    assert np.all(
+        np.isnan(model.estimated.secant(np.array([0.009, simulated_dpn.SURFACE]), simulated_dpn.SURFACE).value)
+    )
     secant = model.report.parameters["secant_stiffness_n_per_m"]
     assert secant.value < model.report.parameters["stiffness_n_per_m"].value
     assert "secant_stiffness_n_per_m" not in plain.report.parameters
@@ -235,7 +237,7 @@ def test_a_wiener_system_grows_by_one_factor():
     record = simulated.wiener_record(1)
     model = Dpn().fit(record)
     low, high = np.quantile(record.output, [0.05, 0.95])
-    changes, _ = model.known.changes(low, high)
+    changes, _ = model.estimated.changes(low, high)
     # With y = offset + C1 (1 - exp(-C2 z)) all three go as 1 / (C1 - (y - offset)).
     depth = np.array([low, high]) - simulated.SURFACE
     truth = np.log((simulated.C1 - depth[0]) / (simulated.C1 - depth[1]))
@@ -251,7 +253,7 @@ def test_damping_that_depends_on_the_direction():
     model = Dpn().fit(record)
     assert model.degrees["direction"] >= 0
     middle = np.array([np.median(record.output)])
-    into, out = (model.known.damping(middle, way).value[0] / tissue.dampings(middle)[0] for way in (1, -1))
+    into, out = (model.estimated.damping(middle, way).value[0] / tissue.dampings(middle)[0] for way in (1, -1))
     assert into == pytest.approx(1.3, abs=0.05)
     assert out == pytest.approx(0.7, abs=0.05)
     [finding] = [text for text in model.report.findings if code_of(text) == "dpn.direction"]
@@ -274,7 +276,7 @@ def test_given_degrees_are_kept():
     assert (details["mass_degree"], details["damping_degree"], details["stiffness_degree"]) == (0.0, 1.0, 2.0)
     assert (details["direction_degree"], details["inertia_degree"]) == (0.0, -1.0)
     assert model.report.n_parameters == 1 + 2 + 3 + 1 + 1
-    assert model.known.curves.direction[0] == pytest.approx(0.0, abs=0.01)
+    assert model.estimated.curves.direction[0] == pytest.approx(0.0, abs=0.01)
 
 
 def test_profile_has_the_central_depths_and_who_speaks_for_them():
@@ -313,7 +315,7 @@ def test_simulation_rests_where_the_tissue_bears_the_mean_input():
     record, model = _fitted("skin")
     output = model.simulate(np.full(500, np.mean(record.input)))
     np.testing.assert_allclose(output, model.rest_position, atol=1e-12)
-    borne = model.known.curves.forces(np.array([model.rest_position]))[0]
+    borne = model.estimated.curves.forces(np.array([model.rest_position]))[0]
     assert borne == pytest.approx(np.mean(record.input), abs=1e-5)
 
 
@@ -394,7 +396,7 @@ def _coverage(runs: int, tissue: simulated_dpn.Tissue, snr_db: float, colour: fl
     held = np.zeros((3, DEPTHS.size))
     for run in range(runs):
         record = simulated_dpn.record(tissue, 20, run, snr_db=snr_db, colour=colour)
-        known = Dpn().fit(record).known
+        known = Dpn().fit(record).estimated
         y = np.quantile(record.output, DEPTHS)
         bands = known.mass(y), known.damping(y), known.stiffness(y)
         truth = tissue.masses(y), tissue.dampings(y), tissue.tangents(y)

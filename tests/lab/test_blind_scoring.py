@@ -12,10 +12,10 @@ from tissueid_lab.blind_check.scoring import (
     SINGLE,
     TAKEN_OUT,
     Answered,
+    BlindScore,
     Label,
     Measured,
     Rate,
-    Score,
     constant_answer_share,
     in_sample,
     permuted,
@@ -57,11 +57,11 @@ def case(
     return Answered(others.get("name", "scenario-0001"), label, answer, others.get("oracle"))
 
 
-def rate(score: Score, what: str) -> Rate:
+def rate(score: BlindScore, what: str) -> Rate:
     return next(item for item in score.rates if item.what == what)
 
 
-def figure(score: Score, what: str) -> Measured:
+def figure(score: BlindScore, what: str) -> Measured:
     return next(item for item in score.figures if item.what.startswith(what))
 
 

@@ -10,9 +10,9 @@ from reports.page_check import checked
 
 from tissueid_lab.blind_check.answers import BlindCheck, CheckInProgress
 from tissueid_lab.blind_check.page import blind_html, blind_panels, confusion_names, headline_of, write_blind_report
-from tissueid_lab.blind_check.scoring import Measured, Rate, Score
+from tissueid_lab.blind_check.scoring import BlindScore, Measured, Rate
 
-SCORE = Score(
+SCORE = BlindScore(
     (Rate("top-1", 13, 14, 0.75), Rate("gap missed", 3, 14, 0.05, at_least=False), Rate("false alarms", 0, 0, 0.01)),
     (Measured("Brier score", 0.101, 14), Measured("pairs: F1 of the named set", float("nan"), 0, 0.75)),
     {"sensor_lag": {"sensor_lag": 2, "unexplained": 1}, "dry_friction": {"tissue_hysteresis": 1, "no_gap": 1}},
@@ -20,10 +20,10 @@ SCORE = Score(
     ("scenario-0003: <b>dry_friction</b>; said nothing",),
     (Measured("labels permuted", 0.07, 14), Measured("always dry_friction", float("nan"), 0)),
 )
-NOTHING = Score((Rate("top-1", 0, 0, 0.9),), (), {}, (), ())
+NOTHING = BlindScore((Rate("top-1", 0, 0, 0.9),), (), {}, (), ())
 
 
-def check(**scores: Score) -> BlindCheck:
+def check(**scores: BlindScore) -> BlindCheck:
     begun = CheckInProgress(17, 2611, 0.3, "ab" * 32)
     return BlindCheck(begun, {key: (key.capitalize(), 17, score) for key, score in scores.items()})
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid_lab.blind_check.scoring import Answered, Label, Score
+from tissueid_lab.blind_check.scoring import Answered, BlindScore, Label
 from tissueid_lab.blind_check.set_scoring import score_of_later_sessions, score_of_sets
 
 OWN = ("viscoelasticity", "added_mass")
@@ -27,7 +27,7 @@ CASES = [
 ]
 
 
-def figure(score: Score, *begins: str) -> float:
+def figure(score: BlindScore, *begins: str) -> float:
     return next(item.value for item in score.figures if item.what.startswith(begins))
 
 

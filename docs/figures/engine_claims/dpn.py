@@ -90,7 +90,7 @@ def _linear() -> Claim:
 def _wiener() -> Claim:
     record = simulated.wiener_record(63)
     low, high = np.quantile(record.output, [0.05, 0.95])
-    changes, _ = Dpn().fit(record).known.changes(float(low), float(high))
+    changes, _ = Dpn().fit(record).estimated.changes(float(low), float(high))
     depth = np.array([low, high]) - simulated.SURFACE
     truth = (simulated.C1 - depth[0]) / (simulated.C1 - depth[1])
     factors = np.exp(changes)
@@ -137,5 +137,5 @@ def _truth(tissue: Tissue, record: Record) -> np.ndarray:
 def _found(model: DpnModel, record: Record) -> np.ndarray:
     """M, B and K at the depths, each with its band, shape (3, 3, depths)."""
     y = np.quantile(record.output, DEPTHS)
-    bands = model.known.mass(y), model.known.damping(y), model.known.stiffness(y)
+    bands = model.estimated.mass(y), model.estimated.damping(y), model.estimated.stiffness(y)
     return np.array([[band.value, band.low, band.high] for band in bands])

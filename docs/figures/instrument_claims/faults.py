@@ -42,7 +42,7 @@ def _matrix() -> Claim:
             found = run_cell(name, state, Path(folder))
         problems += found.problems
         waited_s = max(waited_s, found.wait_s)
-        if ORDEALS[name].words is not None:
+        if ORDEALS[name].codes:
             longest_s = max(longest_s, found.energised_s)
     return Claim(
         f"{len(REPRESENTATIVE)} cells of the fault matrix (docs/safety.md has all): failed cells; longest time that "

@@ -222,7 +222,7 @@ def local_system(model: Model) -> LocalSystem | None:
     its decay is simulated.
     """
     if isinstance(model, DpnModel):
-        estimated = model.known
+        estimated = model.estimated
         position = float(np.median(estimated.position))
         here = np.array([position])
         figures = [
@@ -293,16 +293,16 @@ def _parametric_draws(
     Raises:
         UnusableInputError: the covariance is unknown.
     """
-    curves, covariance = model.known.curves, model.known.covariance
+    curves, covariance = model.estimated.curves, model.estimated.covariance
     if not np.isfinite(covariance).all():
         raise UnusableInputError("readings.no_covariance", "the fit did not converge")
     rng = np.random.Generator(np.random.PCG64(seed))
     rows = []
     for done, theta in enumerate(rng.multivariate_normal(curves.theta, covariance, draws, method="svd")):
         drawn = curves.with_theta(theta)
-        estimated = replace(model.known, curves=drawn)
+        estimated = replace(model.estimated, curves=drawn)
         rest = drawn.tables.rest(model.input_mean)
-        rows.append(statistic(replace(model, known=estimated, rest_position=rest)))
+        rows.append(statistic(replace(model, estimated=estimated, rest_position=rest)))
         if progress is not None:
             progress(done + 1, draws)
     return np.array(rows)

@@ -29,7 +29,7 @@ from tissueid.app.number_field import NumberField, WholeNumberField
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
 from tissueid.language import _, decimal, marked
-from tissueid.plan_options import Bounds, bounds_of, option_of
+from tissueid.plan_options import OptionBounds, bounds_of, option_of
 from tissueid.test_settings import Setting
 from tissueid.units import display_unit
 
@@ -233,7 +233,7 @@ class OptionField(QWidget):
     def _choice(self, choices: Mapping[Any, str]) -> QComboBox:
         return build.choice({choice: _(label) for choice, label in choices.items()}, self._tell, 6)
 
-    def _make_number(self, kind: type, bounds: Bounds, unit: str, step: float) -> QSpinBox | QDoubleSpinBox:
+    def _make_number(self, kind: type, bounds: OptionBounds, unit: str, step: float) -> QSpinBox | QDoubleSpinBox:
         spin: QSpinBox | QDoubleSpinBox
         opened = bounds.least_open, bounds.most_open
         limits = (

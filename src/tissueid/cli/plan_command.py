@@ -14,7 +14,7 @@ import typer
 from pydantic.fields import FieldInfo
 
 from tissueid.cli.output import Output
-from tissueid.plan_options import Bounds, Option, Plan, bounds_of, option_of
+from tissueid.plan_options import Option, OptionBounds, Plan, bounds_of, option_of
 
 _JSON_FILE = inspect.Parameter(
     "json_file",
@@ -82,7 +82,7 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info], default=default)
 
 
-def _range_text(bounds: Bounds) -> str:
+def _range_text(bounds: OptionBounds) -> str:
     """Return the range of values as typer shows that of inclusive bounds, such as "0.0<x<=15.0"."""
     low, high = ("<" if is_open else "<=" for is_open in bounds[2:])
     if bounds.least is None:
@@ -92,7 +92,7 @@ def _range_text(bounds: Bounds) -> str:
     return f"{bounds.least}{low}x{high}{bounds.most}"
 
 
-def _check_of(bounds: Bounds) -> Callable[[float | None], float | None]:
+def _check_of(bounds: OptionBounds) -> Callable[[float | None], float | None]:
     """Return a callback of an option that refuses values out of bounds."""
     above, below = (operator.lt if is_open else operator.le for is_open in bounds[2:])
 

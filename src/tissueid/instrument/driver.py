@@ -321,7 +321,7 @@ class SerialInstrument:
                     self._answer = action
                 case machine.Greet():
                     self._hello = action.payload
-                case machine.LogLine():
+                case machine.WriteLine():
                     log.warning("%s", action.text)
         if failed is not None:
             self._do(machine.PortFailed(self._clock(), failed))

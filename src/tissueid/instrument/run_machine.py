@@ -290,13 +290,13 @@ class Greet:
 
 
 @dataclass(frozen=True)
-class LogLine:
+class WriteLine:
     """Write a line to the log."""
 
     text: str
 
 
-RunAction = SendFrame | DeliverSamples | ReleaseCoil | EndRun | GiveAnswer | Greet | LogLine
+RunAction = SendFrame | DeliverSamples | ReleaseCoil | EndRun | GiveAnswer | Greet | WriteLine
 _Out = list[RunAction]
 
 
@@ -515,7 +515,7 @@ def _released(s: RunState) -> None:
 def _lose(s: RunState, at: float, out: _Out, why: str) -> None:
     """Give up a release that the device did not confirm: send no heartbeat on this link any more."""
     s.lost = release_unconfirmed(s.port, why)
-    out.append(LogLine(str(s.lost)))
+    out.append(WriteLine(str(s.lost)))
     _released(s)
     _answer(s, out, s.lost)
     _fail(s, at, out, s.lost)
@@ -638,7 +638,7 @@ def _check_unseen_end(s: RunState, at: float, out: _Out) -> None:
 def _release_again(s: RunState, at: float, out: _Out, why: str) -> None:
     """Release a coil that is energised although no run is armed."""
     if s.mode not in (Mode.RELEASING, Mode.LOST):
-        out.append(LogLine(f"the coil is on although nothing runs ({why}): released again"))
+        out.append(WriteLine(f"the coil is on although nothing runs ({why}): released again"))
         _end(s, out)
         _release(s, at, out)
 
@@ -1160,5 +1160,5 @@ def step(state: RunState, event: RunEvent) -> tuple[RunState, tuple[RunAction, .
         kind = event.frame.type if isinstance(event, FrameReceived) else 0
         after = shallow_copy(state)
         after.unusable = state.unusable or kind == MessageType.DATA
-        return after, (LogLine(f"ignored a frame of type 0x{kind:02x}: {error}"),)
+        return after, (WriteLine(f"ignored a frame of type 0x{kind:02x}: {error}"),)
     return after, tuple(out)

@@ -34,7 +34,7 @@ from tissueid.gap.workers import Executor, SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin, write_twin
 from tissueid.sessions import Session, Test
 from tissueid.version import __version__
-from tissueid_lab.blind_check.scoring import Answered, Label, Score, survives
+from tissueid_lab.blind_check.scoring import Answered, BlindScore, Label, survives
 
 _CHECK = "check"
 """Key of the description of a check in the folder of its answers."""
@@ -202,7 +202,7 @@ class BlindCheck:
     """
 
     begun: CheckInProgress
-    scores: dict[str, tuple[str, int, Score]]
+    scores: dict[str, tuple[str, int, BlindScore]]
     answers: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 

@@ -23,7 +23,7 @@ from tissueid.procedures.output_files import HTML, check_output, writing
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid_lab.blind_check.answers import BlindCheck, CheckInProgress
-    from tissueid_lab.blind_check.scoring import Answered, Score
+    from tissueid_lab.blind_check.scoring import Answered, BlindScore
 
 
 class LaboratoryName(StrEnum):
@@ -230,7 +230,7 @@ def _checked(
 
 def _scores(
     cases: Sequence[Answered], again: Sequence[Answered], begun: CheckInProgress
-) -> Iterator[tuple[str, tuple[str, int, Score]]]:
+) -> Iterator[tuple[str, tuple[str, int, BlindScore]]]:
     from tissueid_lab.blind_check.scoring import FULL, SINGLE, score_of
     from tissueid_lab.blind_check.set_scoring import score_of_later_sessions, score_of_sets
 

@@ -21,7 +21,7 @@ from tissueid.reports.style import INK, ORANGE, SEQUENTIAL
 from tissueid.reports.tables import Row, Table
 from tissueid.version import SOFTWARE
 from tissueid_lab.blind_check.answers import BlindCheck
-from tissueid_lab.blind_check.scoring import Measured, Rate, Score
+from tissueid_lab.blind_check.scoring import BlindScore, Measured, Rate
 
 Level = Literal["good", "check", "poor"]
 
@@ -88,7 +88,7 @@ def _sentences(check: BlindCheck) -> Iterator[str]:
     yield _("An interval that contains its target leaves open whether the target is reached.")
 
 
-def _section(key: str, title: str, count: int, score: Score) -> dict[str, Any]:
+def _section(key: str, title: str, count: int, score: BlindScore) -> dict[str, Any]:
     """Return the results of one kind of session for the template."""
     return {
         "key": key,
@@ -105,13 +105,13 @@ def _section(key: str, title: str, count: int, score: Score) -> dict[str, Any]:
     }
 
 
-def score_table(score: Score) -> Table:
+def score_table(score: BlindScore) -> Table:
     """Return the table of targets and measured values."""
     columns = ("", _("Target"), _("Measured"), _("95 % (Wilson)"), _("Cases"), "")
     return Table(_("Score"), columns, tuple(_rows(score)))
 
 
-def _rows(score: Score) -> Iterator[Row]:
+def _rows(score: BlindScore) -> Iterator[Row]:
     for rate in score.rates:
         low, high = (fixed(100.0 * end, 0) for end in rate.interval)
         interval = _("{low} to {high} %").format(low=low, high=high) if rate.cases else MISSING
@@ -133,7 +133,7 @@ def _percent(share: float) -> str:
     return f"{fixed(100.0 * share, 0)} %" if share == share else MISSING
 
 
-def blind_panels(key: str, score: Score) -> Iterator[Panel]:
+def blind_panels(key: str, score: BlindScore) -> Iterator[Panel]:
     """Yield both figures of one kind of session."""
     rows, columns = confusion_names(score)
     yield Panel(
@@ -162,7 +162,7 @@ def blind_panels(key: str, score: Score) -> Iterator[Panel]:
     )
 
 
-def confusion_names(score: Score) -> tuple[list[str], list[str]]:
+def confusion_names(score: BlindScore) -> tuple[list[str], list[str]]:
     """Return true effects, and answers: the true effects in the same order, then other names, then abstentions."""
     rows = sorted(score.confusion)
     said = {name for row in score.confusion.values() for name in row}
@@ -171,7 +171,7 @@ def confusion_names(score: Score) -> tuple[list[str], list[str]]:
     return rows, [*named, *others, *(verdict for verdict in _VERDICTS if verdict in said)]
 
 
-def draw_confusion(figure: FigureBase, score: Score) -> None:
+def draw_confusion(figure: FigureBase, score: BlindScore) -> None:
     """Draw the confusion matrix with its counts.
 
     Raises:
@@ -199,7 +199,7 @@ def draw_confusion(figure: FigureBase, score: Score) -> None:
     axes.set_xlabel(_("Answer"))
 
 
-def draw_risk(figure: FigureBase, score: Score) -> None:
+def draw_risk(figure: FigureBase, score: BlindScore) -> None:
     """Draw risk against coverage.
 
     Raises:
@@ -210,7 +210,7 @@ def draw_risk(figure: FigureBase, score: Score) -> None:
     draw_plot(figure.subplots(1, 1), risk_plot(score))
 
 
-def risk_plot(score: Score) -> Plot:
+def risk_plot(score: BlindScore) -> Plot:
     """Return the share of wrong names among the answers against the share of answered scenarios; the score has some."""
     coverage, risk = 100.0 * np.array(score.risk_coverage).T
     parts = [

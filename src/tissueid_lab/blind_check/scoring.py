@@ -214,7 +214,7 @@ TAKEN_OUT = marked("true effect removed from the library: unexplained")
 
 
 @dataclass(frozen=True)
-class Score:
+class BlindScore:
     """Scores of the diagnosis for one kind of session."""
 
     rates: tuple[Rate, ...]
@@ -228,7 +228,7 @@ class Score:
     """The first rate by chance, for a constant answer, and for a search without held-out data."""
 
 
-def score_of(cases: Sequence[Answered], targets: Targets, taken_out: Sequence[Answered] = ()) -> Score:
+def score_of(cases: Sequence[Answered], targets: Targets, taken_out: Sequence[Answered] = ()) -> BlindScore:
     """Score answers against labels.
 
     Args:
@@ -257,7 +257,7 @@ def score_of(cases: Sequence[Answered], targets: Targets, taken_out: Sequence[An
         abstained = [case for case in taken_out if unexplained(case)]
         rates.append(rate(TAKEN_OUT, taken_out, unexplained, targets.unexplained))
         rates.append(rate(marked("of these the right stage"), abstained, _right_stage, targets.stage))
-    return Score(
+    return BlindScore(
         tuple(rates),
         (*_figures(single, targets), *_pair_scores(pairs, targets)),
         _confusion(single),
@@ -455,7 +455,7 @@ def _failure(case: Answered) -> str:
     )
 
 
-def score_answer(score: Score) -> dict[str, Any]:
+def score_answer(score: BlindScore) -> dict[str, Any]:
     """Return a score for JSON."""
 
     def judged(item: Rate | Measured) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from tissueid.language import marked
 from tissueid.twin.catalogue import all_effects
 from tissueid_lab.blind_check.scoring import (
     Answered,
+    BlindScore,
     Measured,
-    Score,
     f1,
     f1_of,
     has_gap,
@@ -32,7 +32,7 @@ _BY_HIDDEN = (
 )
 
 
-def score_of_sets(cases: Sequence[Answered]) -> Score:
+def score_of_sets(cases: Sequence[Answered]) -> BlindScore:
     """Score answers against sets of true effects.
 
     A scenario whose gap survives the refit and for which no effect is named has closed nothing. There are no targets.
@@ -53,10 +53,10 @@ def score_of_sets(cases: Sequence[Answered]) -> Score:
         Measured(marked("closed share relative to the true set, median"), quantile(closed, 0.5), len(closed)),
         Measured(marked("closed share relative to the true set, 10th percentile"), quantile(closed, 0.1), len(closed)),
     ]
-    return Score((), tuple(figures), {}, (), tuple(failure for case in cases if (failure := _failure(case))))
+    return BlindScore((), tuple(figures), {}, (), tuple(failure for case in cases if (failure := _failure(case))))
 
 
-def score_of_later_sessions(cases: Sequence[Answered]) -> Score:
+def score_of_later_sessions(cases: Sequence[Answered]) -> BlindScore:
     """Score answers of sessions that were diagnosed against the twin of an earlier session.
 
     A session has 0 or 1 new effect. The first place is scored where the gap against the twin survives the refit.
@@ -81,7 +81,7 @@ def score_of_later_sessions(cases: Sequence[Answered]) -> Score:
             len(cases),
         ),
     )
-    return Score(rates, figures, {}, (), tuple(failure for case in cases if (failure := _failure_of_twin(case))))
+    return BlindScore(rates, figures, {}, (), tuple(failure for case in cases if (failure := _failure_of_twin(case))))
 
 
 def _share(what: str, cases: Sequence[Answered], hit: Callable[[Answered], bool]) -> Measured:

@@ -32,7 +32,7 @@ class Confirmed:
 
 
 @dataclass(frozen=True)
-class Run:
+class DeviceRun:
     """A played run: its samples from the first played one on, as codes, and the last status."""
 
     first: int
@@ -183,15 +183,15 @@ class DeviceUnderTest(Exchange):
         self.arm(**limits)
         return self.start()
 
-    def finish_run(self, first: int, seconds: float) -> Run:
+    def finish_run(self, first: int, seconds: float) -> DeviceRun:
         """Wait for the end of a run, and return it with the samples up to 20 ms after."""
         self.wait(lambda: self.newest_state != State.RUNNING, seconds, "the end of the run")
         status = self.newest_status()
         self.keep_alive(False)
         self.pump(0.05)
-        return Run(first, self.samples_from(first), status)
+        return DeviceRun(first, self.samples_from(first), status)
 
-    def play(self, codes: NDArray[np.int16], **limits: Any) -> Run:
+    def play(self, codes: NDArray[np.int16], **limits: Any) -> DeviceRun:
         """Play codes to their end, or to a fault."""
         first = self.begin_run(codes, **limits)
         return self.finish_run(first, codes.size / self.rate_hz + 1.0)

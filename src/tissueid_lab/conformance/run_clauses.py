@@ -12,7 +12,7 @@ import tissueid.wire as wire
 from tissueid.language import marked
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import clause, require
-from tissueid_lab.conformance.device import DeviceUnderTest, Run
+from tissueid_lab.conformance.device import DeviceRun, DeviceUnderTest
 from tissueid_lab.conformance.exchange import require_status
 
 RAMP_S = 0.05
@@ -31,7 +31,7 @@ def gentle(device: DeviceUnderTest, seconds: float) -> NDArray[np.int16]:
     return np.rint(wave * float(device.codes(device.force_n)[0])).astype("<i2")
 
 
-def require_released(device: DeviceUnderTest, run: Run, end: int) -> None:
+def require_released(device: DeviceUnderTest, run: DeviceRun, end: int) -> None:
     """Require the soft release from sample ``end`` of a run on: 50 ms to zero, amplifier on, then off."""
     ramp = round(RAMP_S * device.rate_hz)
     released = run.samples[end : end + ramp]

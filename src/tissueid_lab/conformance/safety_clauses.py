@@ -12,7 +12,7 @@ from tissueid.instrument.interface import SIGNALS
 from tissueid.language import marked
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import NotTestedError, clause, require
-from tissueid_lab.conformance.device import GENTLE_N, DeviceUnderTest, Run
+from tissueid_lab.conformance.device import GENTLE_N, DeviceRun, DeviceUnderTest
 from tissueid_lab.conformance.exchange import Act, require_status
 from tissueid_lab.conformance.run_clauses import STEP
 
@@ -24,7 +24,7 @@ _SHARE = 0.8
 """Share of the confirmed force that is held, so that the noise of the current sensor does not trip."""
 
 
-def _require_fault(run: Run, fault: Fault, last: int | None = None) -> None:
+def _require_fault(run: DeviceRun, fault: Fault, last: int | None = None) -> None:
     """Require that a run ended by a fault, and that the amplifier was off after sample ``last`` of the run."""
     require_status(run.status, faults=fault, state=State.FAULT)
     on = np.flatnonzero(run.flagged(Flag.ENERGISED))

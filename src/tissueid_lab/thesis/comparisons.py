@@ -25,7 +25,7 @@ from tissueid_lab.thesis.computing_times import (
     time_plot,
 )
 from tissueid_lab.thesis.published_algorithms import volterra
-from tissueid_lab.thesis.recipe import Outcome, Row, drawn_grid, entry_of, fitted, percent, shown_vaf
+from tissueid_lab.thesis.recipe import NumberRow, Outcome, drawn_grid, entry_of, fitted, percent, shown_vaf
 from tissueid_lab.thesis.simulated_systems import partition_error_plots, partition_errors
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ ORDERS = {"first kernel": ",order=1", "second kernel": "", "filtered": ",smoothi
 """Fits of Fig. 4.13 by kernels, and their options."""
 
 
-def correlation_rows(overlay: Overlay) -> list[Row]:
+def correlation_rows(overlay: Overlay) -> list[NumberRow]:
     """Return the first zero and the rest of the autocorrelation of the force (Fig. 3.4)."""
     record = next(iter(overlay.records.values()))
     u = record.input - np.nanmean(record.input)
@@ -68,7 +68,7 @@ def correlation_rows(overlay: Overlay) -> list[Row]:
     rest = max(abs(float(u[lag:] @ u[:-lag])) / power for lag in range(20, 200))
     milliseconds = 1e3 / record.sample_rate_hz
     return [
-        Row(
+        NumberRow(
             marked("autocorrelation of a force low-passed at 200 Hz"),
             marked("1 at lag zero, near zero elsewhere"),
             f"0 at {fixed(first * milliseconds, 1)} ms, at most {fixed(rest, 2)} beyond 10 ms",
@@ -76,7 +76,7 @@ def correlation_rows(overlay: Overlay) -> list[Row]:
     ]
 
 
-def range_rows(overlay: Overlay) -> list[Row]:
+def range_rows(overlay: Overlay) -> list[NumberRow]:
     """Return the width of the loops over the travel at both ranges (Fig. 3.11)."""
     thesis = {
         "linear": marked("one line in both ranges"),
@@ -92,27 +92,29 @@ def range_rows(overlay: Overlay) -> list[Row]:
             output = entry.analysis.record.output
             share = 100.0 * loop_width(entry) / float(np.nanmax(output) - np.nanmin(output))
             shares.append(f"{range_percent} %: {fixed(share, 1)} %")
-        rows.append(Row(f"{label}, width of loops by travel", said, ", ".join(shares)))
+        rows.append(NumberRow(f"{label}, width of loops by travel", said, ", ".join(shares)))
     return rows
 
 
-def loop_rows(overlay: Overlay) -> list[Row]:
+def loop_rows(overlay: Overlay) -> list[NumberRow]:
     """Return the width of the loops at each range, and the stiffness pulled and pushed (Fig. 3.12)."""
     said = {"11 N": marked("loops appear"), "7 N": marked("little looping"), "1 N": marked("least looping")}
     rows = []
     for label, thesis in said.items():
         for source in (label, f"{label}, attached"):
             widths = [loop_width(entry) for entry in overlay.entries if entry.source == source]
-            rows.append(Row(f"{source}, width of loops", thesis, f"{number(1e6 * float(np.median(widths)), 3)} µm"))
+            rows.append(
+                NumberRow(f"{source}, width of loops", thesis, f"{number(1e6 * float(np.median(widths)), 3)} µm")
+            )
     profile = series_profiles(overlay, from_surface=True)["1 N, attached", "wiener"]
     away = float(min(-profile.position[0], profile.position[-1]))
     pulled, between, pushed = np.interp([-away, 0.0, away], profile.position, profile.stiffness)
     here = f"{fixed(pulled, 0)} and {fixed(pushed, 0)} N/m; {fixed(between, 0)} N/m at the surface"
     what = f"K of attached skin, pulled and pushed by {fixed(1e3 * away, 1)} mm"
-    return [*rows, Row(what, marked("rises faster when pulled"), here)]
+    return [*rows, NumberRow(what, marked("rises faster when pulled"), here)]
 
 
-def _stiffness_rows(overlay: Overlay, fit: str) -> list[Row]:
+def _stiffness_rows(overlay: Overlay, fit: str) -> list[NumberRow]:
     series = series_profiles(overlay, from_surface=True)
     made = [(SITES[site], series[SITES[site], fit]) for site in (POSTERIOR, ANTERIOR)]
     rows = []
@@ -120,7 +122,7 @@ def _stiffness_rows(overlay: Overlay, fit: str) -> list[Row]:
         made, (marked("stiffer at every depth"), marked("softer at every depth")), strict=True
     ):
         ends = f"{fixed(profile.stiffness[0], 0)} to {fixed(profile.stiffness[-1], 0)} N/m"
-        rows.append(Row(f"{site}, K", said, f"{ends} from {_depths(profile)}"))
+        rows.append(NumberRow(f"{site}, K", said, f"{ends} from {_depths(profile)}"))
     (_, posterior), (_, anterior) = made
     shared = np.linspace(
         max(posterior.position[0], anterior.position[0]), min(posterior.position[-1], anterior.position[-1]), 20
@@ -129,7 +131,7 @@ def _stiffness_rows(overlay: Overlay, fit: str) -> list[Row]:
         shared, anterior.position, anterior.stiffness
     )
     rows.append(
-        Row(
+        NumberRow(
             marked("K, posterior over anterior at the same depth"),
             marked("above 1"),
             f"{fixed(float(ratio.min()), 2)} to {fixed(float(ratio.max()), 2)}",
@@ -142,30 +144,30 @@ def _depths(profile: DepthProfile) -> str:
     return f"{fixed(1e3 * float(profile.position[0]), 1)} to {fixed(1e3 * float(profile.position[-1]), 1)} mm"
 
 
-def localized_rows(overlay: Overlay) -> list[Row]:
+def localized_rows(overlay: Overlay) -> list[NumberRow]:
     """Return VAF, stiffness and mass of the small tests (Fig. 3.13)."""
     vafs = [item.analysis.model.report.vaf_percent for item in overlay.entries]
     lowest = min(vafs)
     mass = [profile.mass for key, profile in series_profiles(overlay).items() if key[1] == "lms"]
     spread = max(float(np.ptp(item) / item.mean()) for item in mass)
     return [
-        Row(marked("VAF of each small test"), marked("better than 90 %"), f"{percent(lowest)} or more"),
+        NumberRow(marked("VAF of each small test"), marked("better than 90 %"), f"{percent(lowest)} or more"),
         *_stiffness_rows(overlay, "lms"),
-        Row(marked("mass along depth"), marked("does not change appreciably"), f"± {fixed(50.0 * spread, 0)} %"),
+        NumberRow(marked("mass along depth"), marked("does not change appreciably"), f"± {fixed(50.0 * spread, 0)} %"),
     ]
 
 
-def lobe_rows(overlay: Overlay) -> list[Row]:
+def lobe_rows(overlay: Overlay) -> list[NumberRow]:
     """Return VAF and lobes of the kernel of a DPN system and of a Wiener system (Fig. 4.5)."""
     lobes, other = (_lobes(overlay, source) for source in ("DPN", "Wiener"))
     return [
-        Row(marked("VAF of a second-order kernel on a DPN"), "95.8 %", shown_vaf(overlay, "DPN")),
-        Row(
+        NumberRow(marked("VAF of a second-order kernel on a DPN"), "95.8 %", shown_vaf(overlay, "DPN")),
+        NumberRow(
             marked("width of the centre lobe over its lag"),
             marked("narrower than a Wiener system's"),
             f"{fixed(lobes.width_s / lobes.lag_s, 2)} against {fixed(other.width_s / other.lag_s, 2)}",
         ),
-        Row(
+        NumberRow(
             marked("side lobes of the opposite sign"),
             marked("two"),
             f"{fixed(100.0 * lobes.side_lobe, 0)} % of the centre (Wiener: {fixed(100.0 * other.side_lobe, 0)} %)",
@@ -179,7 +181,7 @@ def _lobes(overlay: Overlay, source: str) -> Lobes:
     return kernel_lobes(model.kernel2, model.lag_spacing / model.sample_rate_hz)
 
 
-def site_kernel_rows(overlay: Overlay) -> list[Row]:
+def site_kernel_rows(overlay: Overlay) -> list[NumberRow]:
     """Return the peaks of the first-order kernels of the sites (Figs. 4.12, 4.14)."""
     peaks = []
     for source in overlay.sources:
@@ -187,7 +189,7 @@ def site_kernel_rows(overlay: Overlay) -> list[Row]:
         assert model.kernel1 is not None
         peaks.append(f"{source} {fixed(1e3 * float(model.kernel1.max()), 0)}")
     return [
-        Row(
+        NumberRow(
             marked("peak of the first kernel, mm/(N·s)"),
             marked("rises as stiffness and damping fall"),
             ", ".join(peaks),
@@ -221,9 +223,11 @@ def partition_study(quick: bool) -> Outcome:
         row_height=3.6,
         over=True,
     ), [
-        Row(marked("error of M, B and K from 500 samples on"), marked("under 5 %"), f"at most {percent(max(enough))}"),
-        Row(marked("with fewer samples"), marked("larger"), said),
-        Row(
+        NumberRow(
+            marked("error of M, B and K from 500 samples on"), marked("under 5 %"), f"at most {percent(max(enough))}"
+        ),
+        NumberRow(marked("with fewer samples"), marked("larger"), said),
+        NumberRow(
             marked("trend with length and repetitions"),
             marked("falls with both"),
             f"{percent(longest.mean_percent)} at {longest.points}",
@@ -231,7 +235,7 @@ def partition_study(quick: bool) -> Outcome:
     ]
 
 
-def partition_rows(overlay: Overlay) -> list[Row]:
+def partition_rows(overlay: Overlay) -> list[NumberRow]:
     """Return stiffness and damping of partitions relative to small tests (Fig. 5.9)."""
     rows = _stiffness_rows(overlay, "depth")
     series = series_profiles(overlay, from_surface=True)
@@ -246,11 +250,11 @@ def partition_rows(overlay: Overlay) -> list[Row]:
             reference = np.interp(large.position[inside], small.position, getattr(small, name))
             ratio = getattr(large, name)[inside] / reference
             shown = f"{fixed(float(np.median(ratio)), 2)} (median)"
-            rows.append(Row(f"{site}, {what} of partitions over small tests", said, shown))
+            rows.append(NumberRow(f"{site}, {what} of partitions over small tests", said, shown))
     return rows
 
 
-def frequency_rows(overlay: Overlay) -> list[Row]:
+def frequency_rows(overlay: Overlay) -> list[NumberRow]:
     """Return the parameters with a low cutoff relative to those with a high one (Fig. 5.10)."""
     series = series_profiles(overlay, from_surface=True)
     profiles = [series[source, "depth"] for source in ("50 Hz", "200 Hz")]
@@ -267,11 +271,11 @@ def frequency_rows(overlay: Overlay) -> list[Row]:
             np.interp(shared, position, getattr(profile, name)[good])
             for position, profile, good in zip(positions, profiles, fitted, strict=True)
         )
-        rows.append(Row(f"{what}, 50 Hz over 200 Hz", said, f"{fixed(float(np.median(low / high)), 2)} (median)"))
+        rows.append(NumberRow(f"{what}, 50 Hz over 200 Hz", said, f"{fixed(float(np.median(low / high)), 2)} (median)"))
     return rows
 
 
-def direction_rows(overlay: Overlay) -> list[Row]:
+def direction_rows(overlay: Overlay) -> list[NumberRow]:
     """Return parameters of partitions by direction, in over out (Fig. 5.11)."""
     rows = []
     profile = next(p for key, p in series_profiles(overlay).items() if key[1] == "direction")
@@ -283,14 +287,14 @@ def direction_rows(overlay: Overlay) -> list[Row]:
     ):
         values = getattr(profile, name)
         ratio = values[into] / values[out]
-        rows.append(Row(f"{what}, in over out", said, f"{fixed(float(np.nanmedian(ratio)), 2)} (median)"))
+        rows.append(NumberRow(f"{what}, in over out", said, f"{fixed(float(np.nanmedian(ratio)), 2)} (median)"))
     return rows
 
 
 MEMORIES_S = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1, 0.11, 0.12)
 
 
-def memory_rows(overlay: Overlay) -> list[Row]:
+def memory_rows(overlay: Overlay) -> list[NumberRow]:
     """Return where the curves of VAF and AICc against memory turn (Fig. 8.1)."""
 
     def scores(fit: str) -> dict[float, tuple[float, float]]:
@@ -323,25 +327,27 @@ def memory_rows(overlay: Overlay) -> list[Row]:
         if depth[ms][1] <= min(curve[ms][1] for curve in (lms, wiener, second) if ms in curve)
     ]
     return [
-        Row(
+        NumberRow(
             marked("VAF of LMS, 30 and 60 lags of 2 ms"),
             marked("level from 30"),
             f"{percent(lms[60][0])} and {percent(lms[120][0])}",
         ),
-        Row(marked("gain of Wiener over LMS"), marked("about 5"), f"{fixed(float(gain), 1)}"),
-        Row(
+        NumberRow(marked("gain of Wiener over LMS"), marked("about 5"), f"{fixed(float(gain), 1)}"),
+        NumberRow(
             marked("VAF of the second-order kernel at 60 lags"),
             marked("almost perfect"),
             f"{percent(second[longest][0])} at {longest // 2}",
         ),
-        Row(marked("its lowest AICc"), marked("20 to 30 lags, then it rises"), f"{lowest // 2} lags"),
-        Row(marked("its AICc is the worst"), marked("from 40 lags"), f"from {worst // 2} lags" if worst else "never"),
-        Row(
+        NumberRow(marked("its lowest AICc"), marked("20 to 30 lags, then it rises"), f"{lowest // 2} lags"),
+        NumberRow(
+            marked("its AICc is the worst"), marked("from 40 lags"), f"from {worst // 2} lags" if worst else "never"
+        ),
+        NumberRow(
             marked("7 partitions have the lowest AICc"),
             marked("from 30 lags"),
             f"from {_tail(best, sorted(depth))} lags",
         ),
-        Row(
+        NumberRow(
             f"second order, {memory} lags: time here; of the thesis' algorithm on this computer",
             marked("not given"),
             f"{number(here, 2)} s; {number(printed, 2)} s",
@@ -370,7 +376,7 @@ _TECHNIQUES = (
 """Technique, VAF, interpretability and time of Table 8.1."""
 
 
-def technique_rows(overlay: Overlay) -> list[Row]:
+def technique_rows(overlay: Overlay) -> list[NumberRow]:
     """Return VAF, interpretability and time of each technique, and the time of the thesis' algorithm (Table 8.1)."""
     printed = technique_times(next(iter(overlay.records.values())))
     rows = []
@@ -379,9 +385,9 @@ def technique_rows(overlay: Overlay) -> list[Row]:
         engine, analysis = entry.fit.engine, entry.analysis
         spent = shortest(lambda: engine.fit(analysis.record, analysis.fit_part))  # noqa: B023 - called at once
         here = f"{shown_vaf(overlay, fit=fit)}, {engine.family.interpretability}"
-        rows.append(Row(f"{fit}: VAF, interpretability", f"{vaf}, {read}", here))
+        rows.append(NumberRow(f"{fit}: VAF, interpretability", f"{vaf}, {read}", here))
         times = f"{number(spent, 2)} s; {number(printed[fit], 2)} s"
-        rows.append(Row(f"{fit}: time here; of the thesis' algorithm on this computer", seconds, times))
+        rows.append(NumberRow(f"{fit}: time here; of the thesis' algorithm on this computer", seconds, times))
     return rows
 
 
@@ -398,14 +404,16 @@ def orthonormalisation_study(quick: bool) -> Outcome:
         [[time_plot(timings, marked("Parameters"))]],
         row_height=3.8,
     ), [
-        Row(marked("power of the number of parameters, thesis' algorithm"), "2", fixed(thesis.power, 2)),
-        Row(marked("orthonormalisation over solution"), marked("one to two orders of magnitude"), fixed(ratio, 1)),
-        Row(
+        NumberRow(marked("power of the number of parameters, thesis' algorithm"), "2", fixed(thesis.power, 2)),
+        NumberRow(
+            marked("orthonormalisation over solution"), marked("one to two orders of magnitude"), fixed(ratio, 1)
+        ),
+        NumberRow(
             f"{most} parameters: thesis' algorithm; here",
             marked("80 to 100 s in all (Table 8.1)"),
             f"{number(thesis.seconds[-1], 2)} s; {number(here.seconds[-1], 2)} s",
         ),
-        Row(
+        NumberRow(
             f"{most} parameters, second output: thesis' algorithm; here",
             marked("one to two orders of magnitude less"),
             f"{number(stored.seconds[-1], 2)} s; {number(again.seconds[-1], 2)} s",
@@ -430,7 +438,7 @@ _QUANTITIES = (
 """Fit, quantity, label, factor and decimals of the rows of Table 3.1."""
 
 
-def repeat_rows(overlay: Overlay) -> list[Row]:
+def repeat_rows(overlay: Overlay) -> list[NumberRow]:
     """Return mean and standard deviation of each quantity at each site (Table 3.1)."""
     values = {(repeated.source, repeated.fit, repeated.quantity): repeated for repeated in repeated_values(overlay)}
     rows = []
@@ -439,5 +447,5 @@ def repeat_rows(overlay: Overlay) -> list[Row]:
         for (fit, quantity, label, scale, decimals), (mean, std) in zip(_QUANTITIES, thesis, strict=True):
             repeated = values[site, fit, quantity]
             here = f"{fixed(scale * repeated.mean, decimals)} ± {number(scale * repeated.std, 2)}"
-            rows.append(Row(f"{site}, {label}", f"{mean} ± {std}", here))
+            rows.append(NumberRow(f"{site}, {label}", f"{mean} ± {std}", here))
     return rows

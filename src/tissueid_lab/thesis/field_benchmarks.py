@@ -21,7 +21,7 @@ from tissueid.messages import Message
 from tissueid.procedures.control import Control
 from tissueid.records import Record
 from tissueid.sessions.imports import Choices, Source, import_test, parse_map
-from tissueid_lab.thesis.recipe import Published, ReproducedFigure, Row
+from tissueid_lab.thesis.recipe import NumberRow, Published, ReproducedFigure
 
 _WARM = 50
 """Samples at the start of a test part that are not scored, as in the definition of both benchmarks."""
@@ -144,7 +144,7 @@ def run_benchmark(benchmark: FieldBenchmark, path: Path, control: Control) -> Re
             error_mv = 1e3 * free_run_error(model.simulate, record[slice(*part)])
             published = benchmark.published.get((engine, name), marked("not quoted"))
             what = f"{engine_label(engine)}, {name}: RMS error of the free run"
-            rows.append(Row(what, published, f"{fixed(error_mv, 2)} mV ({fixed(spent, 0)} s)"))
+            rows.append(NumberRow(what, published, f"{fixed(error_mv, 2)} mV ({fixed(spent, 0)} s)"))
     return ReproducedFigure(benchmark, tuple(rows), seconds=time.perf_counter() - begin)
 
 

@@ -46,7 +46,7 @@ from tissueid_lab.thesis.comparisons import (
 )
 from tissueid_lab.thesis.inputs import INPUT_FIGURES
 from tissueid_lab.thesis.kernels import KERNEL_FIGURES, LARGE
-from tissueid_lab.thesis.recipe import Recording, Source, ThesisFigure
+from tissueid_lab.thesis.recipe import RecipeSource, Recording, ThesisFigure
 from tissueid_lab.thesis.signals import GAUSSIAN, SIGNAL_FIGURES
 
 
@@ -88,13 +88,13 @@ _SMALL_SHARE = 0.05
 """Share of the input range of the small tests of Fig. 3.11."""
 
 
-def _range_tests() -> tuple[Source, ...]:
+def _range_tests() -> tuple[RecipeSource, ...]:
     """Return tests of 100 % and 5 % of the input range on three systems (Fig. 3.11)."""
     sources = []
     for preset, (label, (low, high)) in _SYSTEMS.items():
         middle, half = 0.5 * (low + high), 0.5 * _SMALL_SHARE * (high - low)
-        sources.append(Source(label, Recording(f"{preset}-full", preset, (low, high))))
-        sources.append(Source(label, Recording(f"{preset}-small", preset, (middle - half, middle + half))))
+        sources.append(RecipeSource(label, Recording(f"{preset}-full", preset, (low, high))))
+        sources.append(RecipeSource(label, Recording(f"{preset}-small", preset, (middle - half, middle + half))))
     return tuple(sources)
 
 
@@ -115,7 +115,7 @@ _STRATEGIES = {
 }
 """Fit, and VAF in the thesis (Fig. 4.15)."""
 _TEN_TESTS = tuple(
-    Source(
+    RecipeSource(
         SKIN_SITES[preset],
         Recording(f"{preset}-repeat-{seed}", preset, (0.5, 10.5), seed=100 + seed, distribution="gaussian"),
     )
@@ -126,7 +126,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "3.4",
         marked("Autocorrelation of the force and its correlation with the position"),
-        (Source("low-passed", _LARGE[POSTERIOR]),),
+        (RecipeSource("low-passed", _LARGE[POSTERIOR]),),
         ("lms",),
         ("correlations",),
         correlation_rows,
@@ -143,12 +143,12 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         "3.12",
         marked("Static nonlinearity with ranges of 11, 7 and 1 N, pushed, then pulled and pushed; responses by depth"),
         (
-            Source("11 N", _ELEVEN),
-            Source("7 N", Recording(f"{POSTERIOR}-7n", POSTERIOR, (2.0, 9.0), seed=5)),
-            *(Source("1 N", one) for one in _localized(POSTERIOR)),
-            Source("11 N, attached", _attached("11n", -5.5, 5.5)),
-            Source("7 N, attached", _attached("7n", -3.5, 3.5)),
-            *(Source("1 N, attached", _attached(f"local-{n + 6}", n - 0.5, n + 0.5, 2.0)) for n in range(-5, 6)),
+            RecipeSource("11 N", _ELEVEN),
+            RecipeSource("7 N", Recording(f"{POSTERIOR}-7n", POSTERIOR, (2.0, 9.0), seed=5)),
+            *(RecipeSource("1 N", recording) for recording in _localized(POSTERIOR)),
+            RecipeSource("11 N, attached", _attached("11n", -5.5, 5.5)),
+            RecipeSource("7 N, attached", _attached("7n", -3.5, 3.5)),
+            *(RecipeSource("1 N, attached", _attached(f"local-{n + 6}", n - 0.5, n + 0.5, 2.0)) for n in range(-5, 6)),
         ),
         ("wiener",),
         ("nonlinearity", "impulse-by-depth"),
@@ -157,7 +157,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "3.13",
         marked("Localized linear tests of two sites over the calibration, with Bode diagrams by depth"),
-        tuple(Source(SITES[preset], one) for preset in (POSTERIOR, ANTERIOR) for one in _localized(preset)),
+        tuple(RecipeSource(SITES[site], test) for site in (POSTERIOR, ANTERIOR) for test in _localized(site)),
         ("lms",),
         ("depth", "bode-by-depth"),
         localized_rows,
@@ -172,7 +172,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         "4.5",
         marked("Second-order kernel of a DPN system and of a Wiener system"),
         tuple(
-            Source(label, _white(f"{preset}-white", preset, force_n))
+            RecipeSource(label, _white(f"{preset}-white", preset, force_n))
             for label, preset, force_n in (("DPN", DPN, (-11.0, 11.5)), ("Wiener", WIENER, (0.5, 11.5)))
         ),
         (f"second={EXACT},downsample=1,memory=0.08",),
@@ -183,7 +183,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "4.8",
         marked("Second-order kernels of two sample rates"),
-        (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
+        (RecipeSource(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
         (
             f"667 Hz={EXACT},{LAGS_3}",
             f"400 Hz={EXACT},{LAGS_5}",
@@ -197,7 +197,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "4.12",
         marked("Filtered kernels of four sites"),
-        tuple(Source(label, _LARGE[preset]) for preset, label in SITES.items()),
+        tuple(RecipeSource(label, _LARGE[preset]) for preset, label in SITES.items()),
         (f"filtered={EXACT},downsample=3,smoothing=1",),
         ("second-kernels", "first-kernels"),
         site_kernel_rows,
@@ -206,8 +206,8 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         "4.13",
         marked("Low-passed against white input: linear, Wiener and Volterra"),
         (
-            Source("low-passed", _LARGE[POSTERIOR], ("LMS", "Wiener", *(f"{one} at 667 Hz" for one in ORDERS))),
-            Source("white", _WHITE[POSTERIOR], ("LMS", "Wiener", *(f"{one} at 500 Hz" for one in ORDERS))),
+            RecipeSource("low-passed", _LARGE[POSTERIOR], ("LMS", "Wiener", *(f"{n} at 667 Hz" for n in ORDERS))),
+            RecipeSource("white", _WHITE[POSTERIOR], ("LMS", "Wiener", *(f"{n} at 500 Hz" for n in ORDERS))),
         ),
         (
             "LMS=lms",
@@ -220,15 +220,15 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         ),
         ("second-kernels", "scores"),
         vafs=tuple(
-            (f"VAF, {source}, {fit}", said[place], source, f"{fit} at {rate} Hz" if fit in ORDERS else fit)
-            for place, (source, rate) in enumerate((("low-passed", 667), ("white", 500)))
+            (f"VAF, {source}, {fit}", said[index], source, f"{fit} at {rate} Hz" if fit in ORDERS else fit)
+            for index, (source, rate) in enumerate((("low-passed", 667), ("white", 500)))
             for fit, *said in _INPUTS
         ),
     ),
     ThesisFigure(
         "4.14",
         marked("Kernels of a white input at four sites, without a filter"),
-        tuple(Source(label, _WHITE[preset]) for preset, label in SITES.items()),
+        tuple(RecipeSource(label, _WHITE[preset]) for preset, label in SITES.items()),
         (f"white={EXACT},downsample=4",),
         ("second-kernels", "first-kernels"),
         site_kernel_rows,
@@ -237,8 +237,8 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         "4.15",
         marked("Strategies against noise in a second-order kernel"),
         (
-            Source("low-passed", _LARGE[POSTERIOR], ("raw", "filtered", "downsampled", "regularised")),
-            Source("white", _WHITE[POSTERIOR], ("white",)),
+            RecipeSource("low-passed", _LARGE[POSTERIOR], ("raw", "filtered", "downsampled", "regularised")),
+            RecipeSource("white", _WHITE[POSTERIOR], ("white",)),
         ),
         (
             f"raw={EXACT},{LAGS_3}",
@@ -259,9 +259,9 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         "5.6",
         marked("Six depth partitions of a Wiener system, a DPN system and skin (Figs. 5.6 to 5.8)"),
         (
-            Source("Wiener", Recording(f"{WIENER}-full", WIENER, (0.5, 10.5))),
-            Source("DPN", Recording(f"{DPN}-full", DPN, (0.5, 10.5))),
-            Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),
+            RecipeSource("Wiener", Recording(f"{WIENER}-full", WIENER, (0.5, 10.5))),
+            RecipeSource("DPN", Recording(f"{DPN}-full", DPN, (0.5, 10.5))),
+            RecipeSource(SITES[POSTERIOR], _LARGE[POSTERIOR]),
         ),
         ("depth,partitions=6,correct=false,memory=0.08,downsample=1",),
         ("partitions",),
@@ -276,8 +276,8 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         "5.9",
         marked("Depth partitions against localized linear tests and the calibration, two sites"),
         (
-            *(Source(SITES[p], one, ("lms",)) for p in (POSTERIOR, ANTERIOR) for one in _localized(p)),
-            *(Source(SITES[p], _LARGE[p], ("depth",)) for p in (POSTERIOR, ANTERIOR)),
+            *(RecipeSource(SITES[p], test, ("lms",)) for p in (POSTERIOR, ANTERIOR) for test in _localized(p)),
+            *(RecipeSource(SITES[p], _LARGE[p], ("depth",)) for p in (POSTERIOR, ANTERIOR)),
         ),
         ("lms", "depth"),
         ("depth",),
@@ -288,8 +288,8 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         "5.10",
         marked("Depth partitions with an input to 50 Hz and to 200 Hz"),
         (
-            Source("50 Hz", _low_passed(50.0)),
-            Source("200 Hz", _low_passed(200.0)),
+            RecipeSource("50 Hz", _low_passed(50.0)),
+            RecipeSource("200 Hz", _low_passed(200.0)),
         ),
         ("depth,correct=false",),
         ("depth",),
@@ -298,7 +298,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "5.11",
         marked("Depth partitions against direction partitions"),
-        (Source(SITES[POSTERIOR], _ELEVEN),),
+        (RecipeSource(SITES[POSTERIOR], _ELEVEN),),
         ("depth,partitions=10", "direction,partitions=5"),
         ("depth",),
         direction_rows,
@@ -310,7 +310,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "8.1",
         marked("VAF and AICc against memory"),
-        (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
+        (RecipeSource(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
         (
             "LMS=lms,taper=0",
             "Wiener=wiener",
@@ -334,7 +334,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "Table 8.1",
         marked("VAF, interpretability and time of four techniques"),
-        (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
+        (RecipeSource(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
         ("LMS=lms", "Wiener=wiener", f"Volterra={EXACT},{LAGS_3}", "depth=depth,correct=false"),
         ("scores",),
         technique_rows,
@@ -349,7 +349,7 @@ def _place(figure: ThesisFigure) -> tuple[int, int, int]:
 
 
 QUICK_TESTS = frozenset(
-    [LARGE.name, GAUSSIAN.name, *(source.recording.name for one in SIGNAL_FIGURES for source in one.sources)]
+    [LARGE.name, GAUSSIAN.name, *(source.recording.name for figure in SIGNAL_FIGURES for source in figure.sources)]
 )
 """Tests that a quick run plays; it leaves out the figures that need others."""
 REMARKS = tomllib.loads(Path(__file__).with_name("remarks.toml").read_text(encoding="utf-8"))

@@ -38,10 +38,10 @@ from tissueid_lab.thesis.comparisons import DPN, LINEAR, POSTERIOR, SITES, WIENE
 from tissueid_lab.thesis.computing_times import autocorrelation_times, time_plot
 from tissueid_lab.thesis.kernels import LARGE
 from tissueid_lab.thesis.recipe import (
+    NumberRow,
     Outcome,
+    RecipeSource,
     Recording,
-    Row,
-    Source,
     ThesisFigure,
     drawn_grid,
     entry_of,
@@ -57,7 +57,7 @@ _GRID = 1 << 13
 _SIZES, _QUICK_SIZES = (500, 1000, 2000, 5000, 10_000, 20_000, 50_000), (500, 1000, 2000)
 _TRIALS, _QUICK_TRIALS = 1_000_000, 50_000
 """Pairs that the search of Fig. 6.2b draws, as published: from scrambled samples, both at random."""
-_ONE = (Source(SITES[POSTERIOR], LARGE),)
+_ONE = (RecipeSource(SITES[POSTERIOR], LARGE),)
 _FEEDBACK_S = 5.0
 _LABELS = {LINEAR: "linear", WIENER: "Wiener", DPN: "DPN"}
 _RANGES_M = {LINEAR: (0.0005, 0.002), WIENER: (0.001, 0.004), DPN: (0.0005, 0.0028)}
@@ -83,14 +83,14 @@ def _given_input(_quick: bool) -> Outcome:
         *autocorrelation_plots(autocorrelation(stimulus.values, 100), stimulus.sample_rate_hz, target[:101]),
     )
     rows = [
-        Row(marked("distribution"), marked("the desired one"), marked("exact") if exact else marked("not exact")),
-        Row(
+        NumberRow(marked("distribution"), marked("the desired one"), marked("exact") if exact else marked("not exact")),
+        NumberRow(
             marked("sum of squared errors of the autocorrelation over 500 lags"),
             marked("levels off"),
             number(search.error, 2),
         ),
-        Row(marked("swaps tried for 10,000 samples"), marked("over one million"), grouped(search.tried)),
-        Row(marked("time"), "1800 s", f"{fixed(seconds, 2)} s"),
+        NumberRow(marked("swaps tried for 10,000 samples"), marked("over one million"), grouped(search.tried)),
+        NumberRow(marked("time"), "1800 s", f"{fixed(seconds, 2)} s"),
     ]
     return drawn_grid(
         "input",
@@ -116,7 +116,7 @@ def _autocorrelation_speed(quick: bool) -> Outcome:
         "swap, compiled": marked("not in the thesis"),
     }
     rows = [
-        Row(
+        NumberRow(
             f"time of {timing.method}, power of n; at {grouped(timing.sizes[-1])} samples",
             said[timing.method],
             f"{fixed(timing.power, 2)}; {number(1e6 * timing.seconds[-1], 3)} µs",
@@ -126,7 +126,7 @@ def _autocorrelation_speed(quick: bool) -> Outcome:
     history = search.history
     tenth = history[np.searchsorted(history[:, 0], 0.1 * trials), 2]
     rows.append(
-        Row(
+        NumberRow(
             f"error before, after a tenth of {grouped(trials)} drawn pairs, after all",
             marked("falls fast, then levels"),
             ", ".join(number(float(error), 2) for error in (history[0, 2], tenth, history[-1, 2])),
@@ -157,13 +157,13 @@ def _online(overlay: Overlay) -> Outcome:
         report = entry_of(overlay, fit=fit).analysis.model.report
         tracked = report.details.get("vaf_tracking_percent")  # with the responses that followed the position
         followed = fit == "ALS" and tracked is not None
-        rows.append(Row(f"VAF, {fit}", vaf, percent(tracked if followed and tracked else report.vaf_percent)))
+        rows.append(NumberRow(f"VAF, {fit}", vaf, percent(tracked if followed and tracked else report.vaf_percent)))
         if report.aic is not None:
             shifted = report.aic + report.n_samples * float(np.log(1e6))
             if followed:
                 shifted += 2.0 * (report.details["n_parameters_tracking"] - report.n_parameters)
-            rows.append(Row(f"AIC, positions in mm, {fit}", aic, number(shifted, 3)))
-        rows.append(Row(f"time for a test of 4 s, {fit}", said, f"{fixed(report.seconds or float('nan'), 2)} s"))
+            rows.append(NumberRow(f"AIC, positions in mm, {fit}", aic, number(shifted, 3)))
+        rows.append(NumberRow(f"time for a test of 4 s, {fit}", said, f"{fixed(report.seconds or float('nan'), 2)} s"))
     runs = [held_out_prediction(fit, entry_of(overlay, fit=fit).analysis) for fit, *_ in _ONLINE]
     return drawn_grid(
         "residual",
@@ -185,7 +185,7 @@ def _adaptive(overlay: Overlay) -> Outcome:
         [response_over_time(model, record), response_by_depth(model, record, record.output[part])],
         row_height=3.2,
     ), [
-        Row(
+        NumberRow(
             marked("peak of the response, shallowest and deepest"),
             marked("stiffer and more damped with depth"),
             f"{fixed(float(peaks[0]), 0)} mm/(N·s) at {fixed(float(at[0]), 1)} ms and "
@@ -208,7 +208,7 @@ def _settling(_quick: bool) -> Outcome:
         [[settling_plot()]],
         row_height=3.8,
     ), [
-        Row(
+        NumberRow(
             marked("shortest 5 % settling time at 500, 1000, 2000, 4000 N/m"),
             marked("about 60 ms in the dark region, at least 25 ms in practice"),
             f"{', '.join(fixed(float(value), 0) for value in shortest)} ms",
@@ -226,10 +226,10 @@ def _feedback(
         runs.append(run)
         report = json.loads(str(test.notes[REPORT_NOTE]))
         length = run.force.size / run.sample_rate_hz / max(float(report["cycles"]), 0.5)
-        rows.append(Row(f"{label}: distance of the depths from uniform", near[label], fixed(run.distance, 3)))
-        rows.append(Row(f"{label}: length of a cycle", cycles[label], f"{fixed(length, 2)} s"))
+        rows.append(NumberRow(f"{label}: distance of the depths from uniform", near[label], fixed(run.distance, 3)))
+        rows.append(NumberRow(f"{label}: length of a cycle", cycles[label], f"{fixed(length, 2)} s"))
         shares.append(100.0 * float(test.notes.get("generating_share", float("nan"))))
-    rows.append(Row(marked("computing time relative to the test"), share, percent(max(shares))))
+    rows.append(NumberRow(marked("computing time relative to the test"), share, percent(max(shares))))
     shown = ("feedback-series", "feedback-distributions")
     pictures = tuple(panel.picture() for panel in feedback_panels(runs) if panel.key in shown)
     return DrawnFigures(pictures, tuple(plot for run in runs for plot in _named(run, series_plots(run)))), rows
@@ -262,14 +262,14 @@ def _identified(sessions: Mapping[str, Session]) -> Outcome:
             ratios = [fixed(float(values[-1] / values[0]), 1) for values in (p.mass, p.damping, p.stiffness)]
             masses = f"{fixed(1e3 * float(np.nanmin(p.mass)), 0)} to {fixed(1e3 * float(np.nanmax(p.mass)), 0)} g"
             what = f"{run.label}, {name}: M, B, K at the deepest over the shallowest level; M"
-            rows.append(Row(what, said[run.label], f"{', '.join(ratios)}; {masses}"))
+            rows.append(NumberRow(what, said[run.label], f"{', '.join(ratios)}; {masses}"))
     pictures = tuple(panel.picture() for panel in feedback_panels(runs) if panel.key == "feedback-parameters")
     return DrawnFigures(pictures, profile_plots(profiles_of(runs))), rows
 
 
-def _systems(name: str, gains: Mapping[str, float] | None = None, **options: object) -> tuple[Source, ...]:
+def _systems(name: str, gains: Mapping[str, float] | None = None, **options: object) -> tuple[RecipeSource, ...]:
     return tuple(
-        Source(
+        RecipeSource(
             label,
             Recording(
                 f"{preset}-{name}",

@@ -33,10 +33,10 @@ from tissueid.records import Record
 from tissueid.reports.overlay_page import DrawnFigures
 from tissueid_lab.thesis.comparisons import EXACT, LAGS_3, POSTERIOR, SITES
 from tissueid_lab.thesis.recipe import (
+    NumberRow,
     Outcome,
+    RecipeSource,
     Recording,
-    Row,
-    Source,
     ThesisFigure,
     drawn_grid,
     fitted,
@@ -46,7 +46,7 @@ from tissueid_lab.thesis.simulated_systems import LAGS, RATE_HZ, DpnSystem, Wien
 
 LARGE = Recording(f"{POSTERIOR}-large", POSTERIOR)
 """The test of chapters 4 and 5: uniform force with a cutoff of 200 Hz, into the skin and off it."""
-_ONE = (Source(SITES[POSTERIOR], LARGE),)
+_ONE = (RecipeSource(SITES[POSTERIOR], LARGE),)
 _RAW = f"raw={EXACT},{LAGS_3}"
 _FILTERED = f"filtered={EXACT},{LAGS_3},smoothing=1"
 _FIFTEEN = "depth,partitions=15,correct=false,memory=0.08,downsample=1"
@@ -77,23 +77,25 @@ def _cascade_kernels(curve: Literal["exponential", "square"]) -> Outcome:
         _, linear, bent = model.contributions(record.input)
         share = 100.0 * float(np.var(linear) / np.var(linear + bent))
         diagonal = 100.0 * float(np.sum(np.diag(second) ** 2) / np.sum(second**2))
-        vaf_row = Row(
+        vaf_row = NumberRow(
             f"{structure}, VAF",
             marked("perfect") if square else marked("not given"),
             f"{fixed(model.report.vaf_percent, 2)} %",
         )
         first_row = (
-            Row(f"{structure}, share of the first kernel", marked("the linear part vanishes"), f"{fixed(share, 2)} %")
+            NumberRow(
+                f"{structure}, share of the first kernel", marked("the linear part vanishes"), f"{fixed(share, 2)} %"
+            )
             if square
-            else Row(
+            else NumberRow(
                 f"{structure}, first kernel and linear stage, cosine", marked("as the linear stage"), _alike(first, h)
             )
         )
         product = np.outer(h, h) if square else -np.outer(h, h)
         second_row = (
-            Row("Wiener, second kernel, cosine", marked("the product of two responses"), _alike(second, product))
+            NumberRow("Wiener, second kernel, cosine", marked("the product of two responses"), _alike(second, product))
             if structure == "Wiener"
-            else Row(
+            else NumberRow(
                 "Hammerstein, second kernel on the diagonal",
                 marked("on the diagonal alone"),
                 f"{fixed(diagonal, 1)} %",
@@ -133,14 +135,14 @@ def _kernels(overlay: Overlay) -> Outcome:
         [(first_kernel_plot(model, record), second_order_kernel(model, record))],
         row_height=3.4,
     ), [
-        Row(marked("VAF"), marked("96 % or better"), percent(report.vaf_percent)),
-        Row(
+        NumberRow(marked("VAF"), marked("96 % or better"), percent(report.vaf_percent)),
+        NumberRow(
             marked("parameters, and rows that they are fitted to"),
             marked("903 from about 2700"),
             f"{grouped(report.n_parameters)} from {grouped(rows)}",
         ),
-        Row(marked("AIC, positions in mm"), "1171", grouped(round(2.0 * report.n_parameters + rows * per_row))),
-        Row(_ROUGH, marked("no discernible pattern"), f"{fixed(100.0 * roughness(_kernels_of(model)[1]), 1)} %"),
+        NumberRow(marked("AIC, positions in mm"), "1171", grouped(round(2.0 * report.n_parameters + rows * per_row))),
+        NumberRow(_ROUGH, marked("no discernible pattern"), f"{fixed(100.0 * roughness(_kernels_of(model)[1]), 1)} %"),
     ]
 
 
@@ -166,9 +168,9 @@ def _spectra(overlay: Overlay) -> Outcome:
         [kernel_and_spectrum("raw", *raw[:2]), kernel_and_spectrum("filtered", *smooth[:2])],
         row_height=3.2,
     ), [
-        Row(marked("VAF before the filter"), "94.7 %", percent(raw[0].report.vaf_percent)),
-        Row(marked("VAF after the filter"), "90.4 %", percent(smooth[0].report.vaf_percent)),
-        Row(_ROUGH, marked("large, then removed"), f"{rough[0]} % and {rough[1]} %"),
+        NumberRow(marked("VAF before the filter"), "94.7 %", percent(raw[0].report.vaf_percent)),
+        NumberRow(marked("VAF after the filter"), "90.4 %", percent(smooth[0].report.vaf_percent)),
+        NumberRow(_ROUGH, marked("large, then removed"), f"{rough[0]} % and {rough[1]} %"),
     ]
 
 
@@ -184,7 +186,7 @@ def _contributions(overlay: Overlay) -> Outcome:
             100.0 * float(np.nanstd(contribution[part]) / np.nanstd(first[part])) for contribution in (alone, second)
         ]
         what = f"{fit}: diagonal of the second kernel, and all of it, relative to the first"
-        rows.append(Row(what, said, f"{fixed(shares[0], 0)} % and {fixed(shares[1], 0)} %"))
+        rows.append(NumberRow(what, said, f"{fixed(shares[0], 0)} % and {fixed(shares[1], 0)} %"))
     alt = marked("Three panels for each model: first order, diagonal of the second order, all of it.")
     heading = marked("Measured against modelled position as orders are added")
     return drawn_grid("contributions", heading, alt, plots, row_height=3.2), rows
@@ -216,7 +218,7 @@ def _validated(name: str, quick: bool) -> Outcome:
             for what in scales
         ]
         shown = ", ".join(fixed(item, 1) for item in errors)
-        rows.append(Row(f"{label}: median error of M, B, K", marked("match the trend"), f"{shown} %"))
+        rows.append(NumberRow(f"{label}: median error of M, B, K", marked("match the trend"), f"{shown} %"))
     low = min(float(item.position[0]) for item in profiles.values())
     high = max(float(item.position[-1]) for item in profiles.values())
     fine = np.linspace(low, high, 100)
@@ -254,13 +256,13 @@ def _partitioned(overlay: Overlay) -> Outcome:
         [partition_plots(model, record, part), kernel_curves(model, record)],
         row_height=3.2,
     ), [
-        Row(
+        NumberRow(
             marked("widest partitions"),
             marked("the shallowest and the deepest"),
             f"{fixed(float(widths[0]), 2)} and {fixed(float(widths[-1]), 2)} mm; "
             f"{fixed(float(np.median(widths)), 2)} mm (median)",
         ),
-        Row(
+        NumberRow(
             marked("negative peak, shallowest and deepest kernel"),
             marked("pronounced when shallow, heavily damped when deep"),
             f"{fixed(dips[0], 0)} and {fixed(dips[1], 0)} % of the peak",
@@ -268,8 +270,8 @@ def _partitioned(overlay: Overlay) -> Outcome:
     ]
 
 
-def _fifteen_rows(overlay: Overlay) -> list[Row]:
-    return [Row(marked("parameters"), "600", grouped(fitted(overlay, PartitionedModel)[0].report.n_parameters))]
+def _fifteen_rows(overlay: Overlay) -> list[NumberRow]:
+    return [NumberRow(marked("parameters"), "600", grouped(fitted(overlay, PartitionedModel)[0].report.n_parameters))]
 
 
 KERNEL_FIGURES: tuple[ThesisFigure, ...] = (

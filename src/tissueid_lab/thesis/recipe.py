@@ -29,7 +29,7 @@ _QUICK_STEP_M = 0.005
 FittedModel = TypeVar("FittedModel", bound=Model)
 
 
-class Row(NamedTuple):
+class NumberRow(NamedTuple):
     """A quantity, the value of the thesis and the value here."""
 
     what: str
@@ -37,7 +37,7 @@ class Row(NamedTuple):
     here: str
 
 
-Outcome = tuple[DrawnFigures, Sequence[Row]]
+Outcome = tuple[DrawnFigures, Sequence[NumberRow]]
 """Pictures and comparison of a figure."""
 
 
@@ -72,7 +72,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Source:
+class RecipeSource:
     """A recording in a figure: its label, and the labels of the fits that are run on it; empty for all."""
 
     label: str
@@ -101,10 +101,10 @@ class ThesisFigure(Published):
     and fit, "" for the first. The other arguments are those of ``analysis.overlay.overlay``.
     """
 
-    sources: tuple[Source, ...] = ()
+    sources: tuple[RecipeSource, ...] = ()
     fits: tuple[str, ...] = ()
     pictures: tuple[str, ...] = ()
-    rows: Callable[[Overlay], Sequence[Row]] | None = None
+    rows: Callable[[Overlay], Sequence[NumberRow]] | None = None
     vafs: tuple[tuple[str, str, str, str], ...] = ()
     whole: bool = True
     downsample: int = 1
@@ -123,7 +123,7 @@ class ReproducedFigure:
     """
 
     figure: Published
-    rows: tuple[Row, ...] = ()
+    rows: tuple[NumberRow, ...] = ()
     why: str = ""
     report: DrawnFigures | None = None
     warnings: tuple[str, ...] = ()

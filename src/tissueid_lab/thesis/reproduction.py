@@ -20,7 +20,7 @@ from tissueid.test_settings import TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Instrument
-    from tissueid_lab.thesis.recipe import Recording, ReproducedFigure, Source, ThesisFigure
+    from tissueid_lab.thesis.recipe import RecipeSource, Recording, ReproducedFigure, ThesisFigure
 
 _SESSIONS, _FIGURES = "sessions", "figures"
 _RESULTS, _PAGE, _TEXT = "results.json", "report.html", "reproduction.md"
@@ -132,7 +132,7 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
 
 def _quick(figure: ThesisFigure) -> ThesisFigure:
     """Return a figure with shorter tests, half of a sweep, and at most ``_QUICK`` sources of a label and its fits."""
-    groups: dict[Any, list[Source]] = {}
+    groups: dict[Any, list[RecipeSource]] = {}
     for source in figure.sources:
         groups.setdefault((source.label, source.fits), []).append(source)
     kept = [test for group in groups.values() for test in (group[:: max(1, len(group) - 1)])[:_QUICK]]
@@ -233,7 +233,7 @@ def _reproduced(
     from tissueid.analysis.overlay import TestSource, overlay
     from tissueid.reports.overlay_page import overlay_report
     from tissueid.sessions import read_session
-    from tissueid_lab.thesis.recipe import ReproducedFigure, Row, shown_vaf
+    from tissueid_lab.thesis.recipe import NumberRow, ReproducedFigure, shown_vaf
 
     if figure.study is not None:
         drawn, rows = figure.study(quick)
@@ -264,7 +264,7 @@ def _reproduced(
         for entry in overlaid.entries
         for warning in entry.analysis.model.report.warnings
     }
-    vafs = (Row(what, said, shown_vaf(overlaid, source, fit)) for what, said, source, fit in figure.vafs)
+    vafs = (NumberRow(what, said, shown_vaf(overlaid, source, fit)) for what, said, source, fit in figure.vafs)
     return ReproducedFigure(figure, (*vafs, *rows), report=report, warnings=tuple(warnings.values()))
 
 

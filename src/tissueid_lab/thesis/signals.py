@@ -26,10 +26,10 @@ from tissueid.reports.overlay_page import DrawnFigures
 from tissueid.sessions import Session
 from tissueid_lab.thesis.comparisons import POSTERIOR
 from tissueid_lab.thesis.recipe import (
+    NumberRow,
     Outcome,
+    RecipeSource,
     Recording,
-    Row,
-    Source,
     ThesisFigure,
     drawn_grid,
     entry_of,
@@ -41,7 +41,7 @@ GAUSSIAN = Recording(
     f"{POSTERIOR}-gaussian", POSTERIOR, (-5.0, 11.8), distribution="gaussian", options=(("clipped", 0.0455),)
 )
 """The test of chapter 3: Gaussian force with a cutoff of 200 Hz, into the skin and off it."""
-_ONE = (Source("posterior", GAUSSIAN),)
+_ONE = (RecipeSource("posterior", GAUSSIAN),)
 _SPRING_N_PER_M = 1000.0
 _SETTLED = 0.02
 """Largest relative change of every parameter in a pass after which the iteration counts as settled."""
@@ -77,11 +77,11 @@ def _swept(sessions: Mapping[str, Session]) -> Outcome:
     shown = [panel.picture() for panel in sweep_panels(tables, region) if panel.key in ("parameters", "bode")]
     plots = (*parameter_plots(sweep, region), *bode_plots(tables["response"], sweep))
     return DrawnFigures(tuple(shown), plots), [
-        Row(marked("VAF on the spring, linear region"), marked("95 to 98 %"), ends("vaf_percent", "%")),
-        Row(marked("mass"), marked("60 to 80 g"), ends("mass_kg", "g", 1e3)),
-        Row(marked("damping"), marked("3 to 4 N·s/m"), ends("damping_n_s_per_m", "N·s/m", 1.0, 2)),
-        Row(marked("stiffness"), marked("1000 to 1200 N/m"), ends("stiffness_n_per_m", "N/m", 1.0, 0)),
-        Row(
+        NumberRow(marked("VAF on the spring, linear region"), marked("95 to 98 %"), ends("vaf_percent", "%")),
+        NumberRow(marked("mass"), marked("60 to 80 g"), ends("mass_kg", "g", 1e3)),
+        NumberRow(marked("damping"), marked("3 to 4 N·s/m"), ends("damping_n_s_per_m", "N·s/m", 1.0, 2)),
+        NumberRow(marked("stiffness"), marked("1000 to 1200 N/m"), ends("stiffness_n_per_m", "N/m", 1.0, 0)),
+        NumberRow(
             marked("length of the linear region"), marked("20 to 25 mm of 32 mm"), f"{fixed(1e3 * (high - low), 1)} mm"
         ),
     ]
@@ -107,9 +107,9 @@ def _distributions(overlay: Overlay) -> Outcome:
         row_height=3.2,
         over=True,
     ), [
-        Row(marked("force: skewness and excess kurtosis"), marked("Gaussian: 0 and 0"), shape(record.input)),
-        Row(marked("position: skewness and excess kurtosis"), marked("not Gaussian"), shape(record.output)),
-        Row(marked("crest factor of the force"), marked("best: 1"), fixed(crest, 2)),
+        NumberRow(marked("force: skewness and excess kurtosis"), marked("Gaussian: 0 and 0"), shape(record.input)),
+        NumberRow(marked("position: skewness and excess kurtosis"), marked("not Gaussian"), shape(record.output)),
+        NumberRow(marked("crest factor of the force"), marked("best: 1"), fixed(crest, 2)),
     ]
 
 
@@ -126,14 +126,16 @@ def _spectra(sessions: Mapping[str, Session]) -> Outcome:
         return fixed(float(spectra.coherence[inside].mean()), 2)
 
     rows = [
-        Row(marked("coherence to 100 Hz"), marked("about 0.8"), mean(1.0, 100.0)),
-        Row(marked("coherence from 100 to 200 Hz"), marked("almost 1"), mean(100.0, 200.0)),
-        Row(marked("coherence above 300 Hz"), marked("effectively 0"), mean(300.0, 1000.0)),
+        NumberRow(marked("coherence to 100 Hz"), marked("about 0.8"), mean(1.0, 100.0)),
+        NumberRow(marked("coherence from 100 to 200 Hz"), marked("almost 1"), mean(100.0, 200.0)),
+        NumberRow(marked("coherence above 300 Hz"), marked("effectively 0"), mean(300.0, 1000.0)),
     ]
     for curve, said in zip(plots[0].curves, ("8", "4", "6"), strict=False):
         densities = curve.y[curve.y > 0.0]
         decades = float(np.log10(densities.max() / np.quantile(densities, 0.05)))
-        rows.append(Row(f"{str(curve.name).partition(' ')[0]}, decades to the noise floor", said, fixed(decades, 1)))
+        rows.append(
+            NumberRow(f"{str(curve.name).partition(' ')[0]}, decades to the noise floor", said, fixed(decades, 1))
+        )
     alt = marked("Power spectral densities of voltage, force and position, and the coherence of force and position.")
     return drawn_grid("spectra", marked("Power spectra and coherence"), alt, [plots], row_height=3.4), rows
 
@@ -152,10 +154,10 @@ def _bode(overlay: Overlay) -> Outcome:
         [frequency_response(model, record)],
         over=True,
     ), [
-        Row(marked("natural frequency"), marked("36 Hz (226 rad/s)"), f"{fixed(hz, 1)} Hz"),
-        Row(marked("damping ratio"), marked("0.5 to 1"), fixed(system.damping_ratio, 2)),
-        Row(marked("slope of the magnitude, 80 to 190 Hz"), "-2", fixed(float(slope), 2)),
-        Row(marked("phase at 190 Hz"), marked("towards -180°"), f"{fixed(end, 0)}°"),
+        NumberRow(marked("natural frequency"), marked("36 Hz (226 rad/s)"), f"{fixed(hz, 1)} Hz"),
+        NumberRow(marked("damping ratio"), marked("0.5 to 1"), fixed(system.damping_ratio, 2)),
+        NumberRow(marked("slope of the magnitude, 80 to 190 Hz"), "-2", fixed(float(slope), 2)),
+        NumberRow(marked("phase at 190 Hz"), marked("towards -180°"), f"{fixed(end, 0)}°"),
     ]
 
 
@@ -172,13 +174,13 @@ def _impulse(overlay: Overlay) -> Outcome:
         [[impulse_response(model, record)]],
         over=True,
     ), [
-        Row(marked("VAF, nonparametric"), "75.79 %", percent(model.report.vaf_percent)),
-        Row(marked("VAF, parametric"), "75.64 %", percent(model.report.details["vaf_parametric_percent"])),
-        Row(marked("mass"), "91.2 g", f"{fixed(1e3 * p['mass_kg'].value, 1)} g"),
-        Row(marked("damping"), "22.77 N·s/m", f"{fixed(p['damping_n_s_per_m'].value, 2)} N·s/m"),
-        Row(marked("stiffness"), "4670 N/m", f"{fixed(p['stiffness_n_per_m'].value, 0)} N/m"),
-        Row(marked("damping ratio"), "0.55", fixed(system.damping_ratio, 2)),
-        Row(marked("natural frequency"), "226 rad/s", f"{fixed(system.natural_frequency_rad_per_s, 0)} rad/s"),
+        NumberRow(marked("VAF, nonparametric"), "75.79 %", percent(model.report.vaf_percent)),
+        NumberRow(marked("VAF, parametric"), "75.64 %", percent(model.report.details["vaf_parametric_percent"])),
+        NumberRow(marked("mass"), "91.2 g", f"{fixed(1e3 * p['mass_kg'].value, 1)} g"),
+        NumberRow(marked("damping"), "22.77 N·s/m", f"{fixed(p['damping_n_s_per_m'].value, 2)} N·s/m"),
+        NumberRow(marked("stiffness"), "4670 N/m", f"{fixed(p['stiffness_n_per_m'].value, 0)} N/m"),
+        NumberRow(marked("damping ratio"), "0.55", fixed(system.damping_ratio, 2)),
+        NumberRow(marked("natural frequency"), "226 rad/s", f"{fixed(system.natural_frequency_rad_per_s, 0)} rad/s"),
     ]
 
 
@@ -193,14 +195,14 @@ def _nonlinearity(overlay: Overlay) -> Outcome:
     return drawn_grid(
         "nonlinearity", marked("Static nonlinearity and its inverse slope"), alt, [plots], row_height=3.4
     ), [
-        Row(
+        NumberRow(
             marked("stiffness, 5 % and 95 % of the load"),
             marked("rises with depth"),
             f"{fixed(float(shallow), 0)} and {fixed(float(deep), 0)} N/m",
         ),
-        Row("C1", marked("9.77 mm (Table 3.1)"), f"{fixed(1e3 * p['c1_m'].value, 2)} mm"),
-        Row("C2", marked("0.154 1/N (Table 3.1)"), f"{fixed(p['c2_per_n'].value, 3)} 1/N"),
-        Row(
+        NumberRow("C1", marked("9.77 mm (Table 3.1)"), f"{fixed(1e3 * p['c1_m'].value, 2)} mm"),
+        NumberRow("C2", marked("0.154 1/N (Table 3.1)"), f"{fixed(p['c2_per_n'].value, 3)} 1/N"),
+        NumberRow(
             marked("scatter about the curve, and travel"),
             marked("as much as 1 mm of 7 mm"),
             f"{fixed(scatter, 2)} mm (SD) of {fixed(1e3 * float(np.ptp(measured)), 1)} mm",
@@ -224,12 +226,12 @@ def _iterations(overlay: Overlay) -> Outcome:
     return drawn_grid(
         "iterations", marked("Scores and parameters by pass"), alt, [iteration_plots(model)], row_height=3.4
     ), [
-        Row(
+        NumberRow(
             marked("passes until every parameter is within 2 %"),
             marked("about 6"),
             f"{settled} of {history[-1].iteration}",
         ),
-        Row(
+        NumberRow(
             marked("VAF of the cascade, first and last pass"),
             marked("falls slightly after the first"),
             f"{percent(first)} and {percent(end)}",
@@ -248,7 +250,7 @@ def _prediction(overlay: Overlay) -> Outcome:
         row_height=2.4,
         over=True,
     ), [
-        Row(marked("gain"), marked("5 to 10 points"), fixed(gain, 1)),
+        NumberRow(marked("gain"), marked("5 to 10 points"), fixed(gain, 1)),
     ]
 
 
@@ -259,7 +261,7 @@ SIGNAL_FIGURES: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "2.12",
         marked("Coil parameters along the stroke, and the ranges of Table 2.1"),
-        (Source("sweep", SWEEP),),
+        (RecipeSource("sweep", SWEEP),),
         recorded=_swept,
     ),
     ThesisFigure("3.1", marked("Distributions of force and position"), _ONE, ("lms",), drawn=_distributions),

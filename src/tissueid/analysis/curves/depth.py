@@ -149,7 +149,7 @@ def dpn_plots(model: DpnModel, positions: Array, surface_position_m: float) -> t
         positions: where the curves are evaluated (k,), m.
         surface_position_m: origin of depth, m; NaN for positions on the actuator.
     """
-    estimated = model.known
+    estimated = model.estimated
     x, origin = depth_axis(surface_position_m)
     mass = [(estimated.mass(positions), marked("mass"))]
     if estimated.curves.direction.size:
@@ -181,7 +181,7 @@ def static_force_plot(model: DpnModel, record: Record, positions: Array, surface
     """
     x, origin = depth_axis(surface_position_m)
     samples = cloud(1e3 * (record.output - origin), record.input)
-    force = _band_curve(model.known.force(positions), 1e3 * (positions - origin), 1.0, 1, marked("at rest, F(y)"))
+    force = _band_curve(model.estimated.force(positions), 1e3 * (positions - origin), 1.0, 1, marked("at rest, F(y)"))
     force = replace(force, kind="line", width=1.5)
     return Plot("", x, signal_axis(record.input_name, record.input_unit), (samples, force))
 

@@ -56,12 +56,12 @@ _LARGEST_DAMPING = 4.0
 class DpnModel(Model):
     """M(y) y'' + B(y) y' + F(y) = u, with F the integral of the tangent stiffness K(y).
 
-    ``known`` holds the curves with their bands, such as ``model.known.stiffness(position)``. ``degrees`` is the
+    ``estimated`` holds the curves with their bands, such as ``model.estimated.stiffness(position)``. ``degrees`` is the
     selected degree of each free series, before spare degrees; -1 for a series that is left out. ``rest_position`` is
     the equilibrium under the mean input of the fit, where a simulation starts.
     """
 
-    known: EstimatedCurves
+    estimated: EstimatedCurves
     degrees: dict[str, int]
     input_mean: float
     rest_position: float
@@ -76,7 +76,7 @@ class DpnModel(Model):
         The result includes whether and where the motion diverged. Samples whose memory contains a gap are not masked.
         """
         return simulate_dpn(
-            self.known.curves.tables, u, self.sample_rate_hz, rest_input=self.input_mean, hold=self.hold
+            self.estimated.curves.tables, u, self.sample_rate_hz, rest_input=self.input_mean, hold=self.hold
         )
 
     def simulate(self, u: Array) -> Array:
@@ -91,7 +91,7 @@ class DpnModel(Model):
 
     def depth_profile(self) -> DepthProfile | None:
         """Return the profile over the central 98 % of the visited positions; None unless the units are N and m."""
-        return self.known.profile() if self.mechanical else None
+        return self.estimated.profile() if self.mechanical else None
 
 
 _SWITCHES = (marked("auto"), marked("on"), marked("off"))
@@ -281,7 +281,7 @@ class Dpn(Engine):
             ),
             sample_rate_hz=rate,
             memory_samples=memory,
-            known=estimated,
+            estimated=estimated,
             degrees=degrees,
             input_mean=prepared.input_mean,
             rest_position=fitted.curves.tables.rest(prepared.input_mean),

@@ -292,7 +292,7 @@ def curves(subject: FigureSubject[DpnModel]) -> Drawn:
     """Draw M(y), B(y) and K(y) with their bands over the visited depths."""
     model = subject.model
     position, origin = _visited(subject)
-    estimated = model.known
+    estimated = model.estimated
     *plots, samples = dpn_plots(model, position, subject.surface_position_m)
     drawn = new_figure(FULL_WIDTH, 4.3)
     draw_over_samples(drawn, plots, samples, key=True)
@@ -335,7 +335,7 @@ def _visited(subject: FigureSubject[DpnModel]) -> tuple[Array, float]:
             "report.not_mechanical",
             "mass, damping and stiffness need a force as the input and a position as the output",
         )
-    low, high = subject.model.known.central()
+    low, high = subject.model.estimated.central()
     origin = subject.surface_position_m if np.isfinite(subject.surface_position_m) else 0.0
     return np.linspace(low, high, _STEPS), origin
 

@@ -110,7 +110,7 @@ EFFECT = Effect(
         (45.0, 0.05, 1.0, 2.5, 0.05, ON_FRAME),
     ),
     scan=tuple(
-        (frequency, 0.05, 20.0, 2.5, 0.05, place) for place in (ELSEWHERE, ON_FRAME) for frequency in _FREQUENCIES_HZ
+        (frequency, 0.05, 20.0, 2.5, 0.05, mount) for mount in (ELSEWHERE, ON_FRAME) for frequency in _FREQUENCIES_HZ
     ),
     other_minima=tuple({"second_ratio": ratio, "second_share": 0.1} for ratio in (1.5, 1.9, 2.4, 3.2)),
     mistaken_for=("viscoelasticity", "sensor_lag", "physiological_motion", "reflex"),

@@ -300,7 +300,7 @@ _IN_FILES = (marked("static"), marked("sweep"), marked("passed"), marked("failed
 
 
 @dataclass(frozen=True)
-class Row:
+class CalibrationRow:
     """A calibration with what is said of it. ``level`` is that of a colour."""
 
     item: Stored
@@ -317,7 +317,7 @@ class Row:
         return (self.date, _(self.kind), _(self.verdict), self.age, self.force, name)[column]
 
 
-def rows_of(stored: Sequence[Stored], nominal: DeviceDescription | None, now: datetime) -> tuple[Row, ...]:
+def rows_of(stored: Sequence[Stored], nominal: DeviceDescription | None, now: datetime) -> tuple[CalibrationRow, ...]:
     """Rows in the order of ``stored``. ``nominal`` is what was asked; without it each is judged by its age alone."""
     if nominal is None:
         return tuple(_row(item, None, frozenset(), frozenset(), now) for item in stored)
@@ -329,10 +329,10 @@ def rows_of(stored: Sequence[Stored], nominal: DeviceDescription | None, now: da
 
 def _row(
     item: Stored, nominal: DeviceDescription | None, named: frozenset[str], sources: frozenset[Path], now: datetime
-) -> Row:
+) -> CalibrationRow:
     calibration = item.calibration
     if calibration is None:
-        return Row(
+        return CalibrationRow(
             item,
             MISSING,
             MISSING,
@@ -365,7 +365,7 @@ def _row(
             force, level = _said(_("no: {reason}").format(reason=reason)), "" if state == "foreign" else "poor"
     if calibration.verdict == "failed":
         level = "poor"
-    return Row(item, date, calibration.kind, calibration.verdict, age, force, level)
+    return CalibrationRow(item, date, calibration.kind, calibration.verdict, age, force, level)
 
 
 def _sources(stored: Sequence[Stored], nominal: DeviceDescription, now: datetime) -> set[Path]:
@@ -421,7 +421,9 @@ class CalibrationsTab(Tab):
         self.calibrate = button(_("Calibrate…"), self._go, tip=_("Shows the page Measure, where calibrations are made"))
         self.again = button(_("Read again"), self.load, name=_("Read the folder of calibrations again"))
         self.about = build.label("muted")
-        self.model = PiecesModel(tuple(_(head) for head in HEADERS), Row.cell, level=lambda row: row.level, marked=4)
+        self.model = PiecesModel(
+            tuple(_(head) for head in HEADERS), CalibrationRow.cell, level=lambda row: row.level, marked=4
+        )
         self.list = table_of(self.model, _("Calibrations"), (82, 66, 74, 70, 180))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
         self.why = build.label("muted")
@@ -480,7 +482,7 @@ class CalibrationsTab(Tab):
         return [row.item.calibration for row in self._rows if row.item.calibration is not None]
 
     @property
-    def _rows(self) -> list[Row]:
+    def _rows(self) -> list[CalibrationRow]:
         numbers = sorted(index.row() for index in self.list.selectionModel().selectedRows())
         return [self.model.rows[number] for number in numbers if number < len(self.model.rows)]
 
