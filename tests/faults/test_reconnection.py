@@ -39,7 +39,7 @@ def pulled_once(desk, recorder, chance):
     return recorder.tests_begun - before, desk.link.now - came_back_s
 
 
-@pytest.mark.parametrize("times", [8])
+@pytest.mark.parametrize("times", [8, pytest.param(1000, marks=pytest.mark.soak)])
 def test_an_instrument_that_comes_back_is_ready_and_every_test_is_saved(tmp_path, times):
     chance, begun = random.Random(times), 0
     for sitting in range(0, times, 50):
@@ -60,6 +60,25 @@ def test_an_instrument_that_comes_back_is_ready_and_every_test_is_saved(tmp_path
             assert {test.number for test in session.tests} >= recorded
             assert all(test.status in ("completed", "aborted") for test in session.tests)
     assert begun > 0.4 * times
+
+
+def test_a_watchdog_that_fires_while_the_instrument_is_opened_leaves_no_fault():
+    """The cable is put back about 0.5 s after the last heartbeat, so that opening and the watchdog coincide."""
+    desk = Desk(seed=1)
+    with virtual_time():
+        for away_s in np.arange(0.36, 0.56, 0.002):
+            instrument = desk.open()
+            instrument.load(np.full(8000, 1.0))
+            instrument.arm(CLINICAL)
+            instrument.start()
+            for _ in range(4):
+                instrument.poll(0.05)
+            desk.link.unplug()
+            instrument.close()
+            desk.link.run_for(float(away_s))
+            desk.link.replug()
+            with desk.open() as again:
+                again.load(np.full(100, 1.0))
 
 
 def test_a_serial_server_that_is_connected_again_is_ready():

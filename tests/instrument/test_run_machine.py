@@ -107,7 +107,7 @@ EXPECTED: dict[object, dict[str, str]] = {
         "usual": BROKEN,
         "STARTING": "refuse fail stop > RELEASING",
         "FINISHING": "refuse fail release > FAILED",
-        "RELEASING": "logline fail release > LOST",
+        "RELEASING": "writeline fail release > LOST",
         **dict.fromkeys(("FAILED", "LOST"), ""),
     },
     machine.HelloAsked: {"usual": "", "OPENING": "HELLO"},
@@ -224,7 +224,7 @@ def test_silence_ends_a_run(mode):
 def test_frames_without_usable_samples_are_silence():
     host = Host(Mode.RUNNING)
     host.at += 1.1
-    assert names(host.receive(Frame(MessageType.DATA, sample_index=host.state.next_index, payload=b"x"))) == "logline"
+    assert names(host.receive(Frame(MessageType.DATA, sample_index=host.state.next_index, payload=b"x"))) == "writeline"
     assert names(host.receive(data(0))) == "", "a duplicate"
     host.tick(0.0)
     assert holding("link.unusable")(host.state.error)
@@ -241,7 +241,7 @@ def test_a_frame_of_another_version_counts_as_unusable_and_is_read_in_the_handsh
 def test_a_frame_that_cannot_be_read_changes_nothing():
     host = Host(Mode.RUNNING)
     before = host.state
-    assert names(host.receive(Frame(MessageType.STATUS, payload=b"?"))) == "logline"
+    assert names(host.receive(Frame(MessageType.STATUS, payload=b"?"))) == "writeline"
     assert vars(host.state) == vars(before)
 
 

@@ -69,7 +69,7 @@ class SerialInstrument:
         try:
             self._shake_hands()
             self.device = self.nominal = self.state.nominal
-            for kind in (MessageType.CLEAR_FAULTS, MessageType.RELEASE):
+            for kind in (MessageType.RELEASE, MessageType.CLEAR_FAULTS):
                 self._request(kind)
             self._request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
         except BaseException:
