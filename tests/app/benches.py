@@ -6,7 +6,7 @@ import threading
 
 from tissueid.instrument import FoundInstrument, SimulatedInstrument
 
-WAIT_MS = 60_000
+WAIT_MS = 20_000
 
 
 def found(*, probe, opener=None):

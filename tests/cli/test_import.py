@@ -33,10 +33,15 @@ def table(tmp_path):
 def test_import_then_identify(table, tmp_path, capsys):
     out = tmp_path / "s.h5"
     found = answer(capsys, "import", str(table), "--out", str(out), *MAP)
-    (told,) = found["tests"]
-    assert (told["test"], told["samples"], told["sample_rate_hz"], told["rows"]) == (1, 1500, 1000.0, [0, 1500])
-    assert told["signals"]["position"]["column"] == "disp"
-    assert told["signals"]["position"]["unit"] == "mm"
+    (described,) = found["tests"]
+    assert (described["test"], described["samples"], described["sample_rate_hz"], described["rows"]) == (
+        1,
+        1500,
+        1000.0,
+        [0, 1500],
+    )
+    assert described["signals"]["position"]["column"] == "disp"
+    assert described["signals"]["position"]["unit"] == "mm"
     assert found["session_id"] == read_session(out).session_id
     assert answer(capsys, "identify", str(out), "--engine", "lms")["vaf_validation_percent"] > 99
 

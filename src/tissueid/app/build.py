@@ -329,7 +329,7 @@ def restore_tab(pages: QTabWidget, kept: object) -> None:
 
 
 def tiles(columns: int, *parts: QWidget, stretch_rows: bool = False, **properties: Any) -> QGridLayout:
-    """Return parts in rows of so many columns of equal width, of equal height too with ``stretch_rows``."""
+    """Return parts in rows of ``columns`` of equal width, of equal height too with ``stretch_rows``."""
     made = styled(QGridLayout(), **({"spacing": 6, "contents_margins": (0, 0, 0, 0)} | properties))
     for index, part in enumerate(parts):
         made.addWidget(part, index // columns, index % columns)

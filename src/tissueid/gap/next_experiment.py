@@ -92,7 +92,7 @@ def next_experiment(
     """Choose the next test; None where there are no rival candidates, or no test would separate them.
 
     Args:
-        observed: the recorded tests.
+        dataset: the recorded tests.
         candidates: the fitted candidates.
         probabilities: their probabilities.
     """

@@ -32,7 +32,7 @@ class QualityPlan(Plan):
 
 
 def judge_tests(plan: QualityPlan) -> tuple[Session, tuple[tuple[Test, Quality], ...]]:
-    """Return a session and its tests with their quality, which is judged anew; the file is not changed.
+    """Return a session and its tests with their quality, which is judged again; the file is not changed.
 
     Raises:
         UnusableInputError: the file is not a session, or does not contain the test.

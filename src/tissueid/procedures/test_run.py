@@ -305,7 +305,7 @@ class _Run:
         instrument, subject = self._instrument, Subject(self._plan.subject)
 
         def opened() -> SessionRecorder:
-            for _attempt in range(_MOST_NAMES if another_name is not None else 0):
+            for _attempt in range(_MOST_NAMES):
                 try:
                     return SessionRecorder(self.path, instrument.device, subject, trail=trail)
                 except (SessionExistsError, JournalError) as error:

@@ -152,7 +152,7 @@ class StaticMap:
     def __init__(self, depth: tuple[float, float], force: tuple[float, float], slope: float, forget: float) -> None:
         self.knots = np.linspace(min(0.0, depth[0]), depth[1], KNOTS)
         self._step = float(self.knots[1] - self.knots[0])
-        self._binary_error_floor = np.linspace(self.knots[0], self.knots[-1], _DAMPING_KNOTS)
+        self._damping_depths = np.linspace(self.knots[0], self.knots[-1], _DAMPING_KNOTS)
         self._usual_keep = self._keep = 1.0 - forget
         usual = (force[1] - force[0]) / (depth[1] - depth[0])
         self._slopes = (_MIN_SLOPE * usual, _MAX_SLOPE * usual)
@@ -189,7 +189,7 @@ class StaticMap:
         rows[at, k] = 1.0 - (position - k)
         rows[at, k + 1] = position - k
         coarse = np.clip(
-            (depth - self._binary_error_floor[0]) / (self._binary_error_floor[1] - self._binary_error_floor[0]),
+            (depth - self._damping_depths[0]) / (self._damping_depths[1] - self._damping_depths[0]),
             0.0,
             _DAMPING_KNOTS - 1.0,
         )
@@ -246,4 +246,4 @@ class StaticMap:
 
     def damping(self, depth: Array) -> Array:
         """Return B, N s/m, at depths (n,), m."""
-        return np.interp(depth, self._binary_error_floor, self._damping)
+        return np.interp(depth, self._damping_depths, self._damping)

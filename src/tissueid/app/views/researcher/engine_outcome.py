@@ -481,7 +481,7 @@ def _parsed(line: bytes) -> EngineOutcome:
 
 
 def _with_messages(stored: dict[str, Any]) -> dict[str, Any]:
-    """Return a part of a result of version 0.1, whose messages stand beside their texts, with the two joined."""
+    """Return a part of a result of version 0.1, which holds messages and texts separately, with both joined."""
     for name, messages in stored.pop("messages", {}).items():
         texts = [stored[name]] if isinstance(stored[name], str) else stored[name]
         pairs = zip(messages, texts, strict=True)
